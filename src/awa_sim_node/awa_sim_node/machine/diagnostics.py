@@ -1,0 +1,78 @@
+"""What the instruments show: shot noise, and the average over the shots of an evaluation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class ShotNoise:
+    """Noise of one shot of one diagnostic.
+
+    Attributes:
+        fraction: Standard deviation as a fraction of the true value.
+        floor: Least standard deviation, in the diagnostic's unit.
+    """
+
+    fraction: float = 0.0
+    floor: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the values; ValueError if one of them is negative or not finite."""
+        for name, value in (("fraction", self.fraction), ("floor", self.floor)):
+            if not (value >= 0.0 and math.isfinite(value)):
+                raise ValueError(f"{name} = {value} must be finite and at least 0")
+
+    def stddev(self, value: float) -> float:
+        """Return the standard deviation of a shot whose true value is ``value``."""
+        return max(self.fraction * abs(value), self.floor)
+
+    def shot(self, value: float, rng: np.random.Generator) -> float:
+        """Return one measured shot of the true value ``value``."""
+        return value + self.stddev(value) * float(rng.standard_normal())
+
+
+NOISELESS = ShotNoise()
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One measured value.
+
+    Attributes:
+        name: Name of the variable or diagnostic.
+        value: Mean over the shots, in ``unit``; NaN if nothing was measured.
+        stddev: Standard uncertainty of ``value`` (not of one shot), in ``unit``; NaN if not known.
+        unit: Unit of the value; empty where it has none.
+    """
+
+    name: str
+    value: float
+    stddev: float
+    unit: str
+
+
+def average(shots: Sequence[float]) -> tuple[float, float]:
+    """Average the shots of one quantity.
+
+    Args:
+        shots: One value a shot; NaN where a shot gave none.
+
+    Returns:
+        The mean over the valid shots and its standard uncertainty: the sample standard deviation of a shot,
+        divided by the square root of their number. The uncertainty is NaN with a single valid shot, which
+        shows no scatter; both are NaN without any.
+    """
+    valid = np.asarray([shot for shot in shots if not math.isnan(shot)], dtype=np.float64)
+    if valid.size == 0:
+        return math.nan, math.nan
+    # Counted from the first shot, so that equal shots average to exactly their value.
+    deviations = valid - valid[0]
+    mean = float(valid[0] + deviations.mean())
+    if valid.size == 1:
+        return mean, math.nan
+    return mean, float(deviations.std(ddof=1) / math.sqrt(valid.size))

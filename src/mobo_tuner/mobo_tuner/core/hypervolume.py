@@ -1,0 +1,290 @@
+"""Hypervolume, hypervolume improvement and its expectation, exactly, for any number of objectives.
+
+The hypervolume of a set of points is the volume that they dominate below a reference point,
+everything minimised. One decomposition of the rest into boxes `[Lacour2017]_` gives every
+acquisition function of `[Roussel2021]_` as a sum over boxes of a product over objectives,
+
+    alpha = sum_b prod_j (G_j(u_bj) - G_j(l_bj)),
+
+with G_j(t) = max(t - y_j, 0) for the improvement of a point y and its expectation for a predicted
+normal distribution of y. A truncation box [A, B] limits the expectation to y in [A, B]: B is the
+reference point of the decomposition, and G_j counts only y_j >= A_j. Nothing below A is credited,
+as the paper defines it; moving such predictions up to A instead would credit them in full.
+Moving the *front* up to A (the paper's projection) changes nothing for y in [A, B], and is a matter
+of the front's own hypervolume: `mobo_tuner.core.pareto.project_onto_box`.
+
+.. [Lacour2017] R. Lacour, K. Klamroth, C. M. Fonseca, "A box decomposition algorithm to compute
+   the hypervolume indicator", Computers & Operations Research 79, 347-360 (2017).
+.. [Roussel2021] R. Roussel, A. Hanuka, A. Edelen, "Multiobjective Bayesian optimization for online
+   accelerator tuning", Phys. Rev. Accel. Beams 24, 062801 (2021).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mobo_tuner.core import box_tree
+from mobo_tuner.core.box_tree import BoxTree
+from mobo_tuner.core.pareto import FloatArray, as_points, is_below, is_nondominated
+
+_MOST_NARROW_LEVELS = 32_000
+_INITIAL_NODES = 1024
+_RELATIVE_TOLERANCE = 1e-12
+
+
+def hypervolume(points: ArrayLike, reference: ArrayLike) -> float:
+    """Return the volume dominated by `points` below `reference`.
+
+    Args:
+        points: `(n, P)`; rows with NaN or not strictly below the reference add nothing.
+        reference: `(P,)`.
+
+    Raises:
+        ValueError: as `BoxDecomposition`.
+    """
+    return BoxDecomposition(reference, points).hypervolume
+
+
+class BoxDecomposition:
+    """The region that a Pareto front leaves free below the reference point, cut into boxes.
+
+    Points are added one at a time or, at construction, largest volume first. The order never
+    changes a result but a bad one makes the tree some twenty times larger: build it anew from all
+    points when a model is trained, add single points in between.
+
+    The number of boxes grows as n^floor(P/2) at worst. With P = 7 and n = 500 there are 3e4 to 8e5
+    of them, some 40 bytes each; adding a point takes about a millisecond.
+
+    Attributes:
+        reference: `(P,)`, the reference point, or B of a truncation box.
+    """
+
+    def __init__(self, reference: ArrayLike, points: ArrayLike | None = None) -> None:
+        """Start with no points, or with the front of `points`.
+
+        Args:
+            reference: `(P,)`, finite.
+            points: `(n, P)`, or None. NaN rows, dominated rows and rows not strictly below the
+                reference are left out.
+
+        Raises:
+            ValueError: if a shape does not fit, the reference is not finite or a point holds
+                minus infinity.
+        """
+        self.reference: FloatArray = np.array(reference, dtype=np.float64)
+        if self.reference.ndim != 1 or len(self.reference) == 0:
+            raise ValueError(f"reference must have shape (P,), not {self.reference.shape}")
+        if not np.isfinite(self.reference).all():
+            raise ValueError(f"reference must be finite, not {self.reference}")
+        self.reference.setflags(write=False)
+        n_objectives = len(self.reference)
+        front = np.empty((0, n_objectives))
+        if points is not None:
+            front = as_points(points, "points", n_objectives)
+            front = front[is_below(front, self.reference)]
+            front = front[is_nondominated(front)]
+        self._levels = np.full((n_objectives + 1 + max(len(front), 64), n_objectives), -np.inf)
+        np.fill_diagonal(self._levels, self.reference)
+        self._n_levels = n_objectives + 1
+        self._tree = _empty_tree(n_objectives, self._index_type())
+        self._n_nodes = 1
+        self._n_boxes = 1
+        self._hypervolume = 0.0
+        volumes = np.log(self.reference - front).sum(axis=1)
+        for point in front[np.argsort(-volumes, kind="stable")]:
+            self.add(point)
+
+    @property
+    def hypervolume(self) -> float:
+        """The volume dominated by the points so far, in the product of the objectives' units."""
+        return self._hypervolume
+
+    @property
+    def n_boxes(self) -> int:
+        """The number of boxes."""
+        return self._n_boxes
+
+    @property
+    def nbytes(self) -> int:
+        """The memory held, in bytes."""
+        return self._levels.nbytes + sum(array.nbytes for array in self._tree)
+
+    def add(self, point: ArrayLike) -> float:
+        """Add a point to the front.
+
+        Args:
+            point: `(P,)`. One with a NaN, one not strictly below the reference and one dominated by
+                or equal to an earlier point change nothing.
+
+        Returns:
+            The hypervolume gained.
+
+        Raises:
+            ValueError: if the shape does not fit or a component is minus infinity.
+        """
+        point = np.ascontiguousarray(point, dtype=np.float64)
+        if point.shape != self.reference.shape:
+            raise ValueError(f"point must have shape {self.reference.shape}, not {point.shape}")
+        if np.isneginf(point).any():
+            raise ValueError(f"point must not hold minus infinity: {point}")
+        if not (point < self.reference).all():
+            return 0.0
+        leaves = box_tree.find_leaves(self._tree, self._levels, point)
+        if len(leaves) == 0:
+            return 0.0
+        self._reserve(len(leaves) * len(point))
+        self._levels[self._n_levels] = point
+        n_nodes, gained = box_tree.split_leaves(
+            self._tree, self._levels, leaves, self._n_levels, self._n_nodes
+        )
+        self._n_boxes += n_nodes - self._n_nodes - len(leaves)
+        self._n_nodes = n_nodes
+        self._n_levels += 1
+        self._hypervolume += gained
+        return gained
+
+    def improvement(self, candidates: ArrayLike, lower: ArrayLike | None = None) -> FloatArray:
+        """Return the hypervolume that each candidate would add, `(m, P) -> (m,)`.
+
+        Args:
+            candidates: `(m, P)`, without NaN.
+            lower: `(P,)`, A of a truncation box: candidates with a component below it add nothing.
+
+        Raises:
+            ValueError: if a shape does not fit or a value is NaN.
+        """
+        candidates = self._predictions(candidates, "candidates")
+        return self._expected(candidates, np.zeros_like(candidates), lower)
+
+    def improvement_with_gradient(
+        self, candidates: ArrayLike, lower: ArrayLike | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the improvements and their gradients, `(m, P) -> (m,), (m, P)`.
+
+        At a kink, where a candidate shares a component with a point of the front, the gradient is
+        one of the two one-sided ones.
+        """
+        candidates = self._predictions(candidates, "candidates")
+        return self._expected_with_gradient(candidates, np.zeros_like(candidates), lower)[:2]
+
+    def expected_improvement(
+        self, mean: ArrayLike, stddev: ArrayLike, lower: ArrayLike | None = None
+    ) -> FloatArray:
+        """Return the expected hypervolume improvement, `[Roussel2021]_` Eq. (eqn:EHVI).
+
+        Relative errors are below 1e-11, far out in the tails too.
+
+        Args:
+            mean: `(m, P)`, predicted means of independent normal distributions.
+            stddev: `(m, P)`, their standard deviations; zero makes a component certain.
+            lower: `(P,)`, A of a truncation box [A, reference]: the expectation is then taken over
+                that box only (alpha_TEHVI). Minus infinity leaves an objective free.
+
+        Returns:
+            `(m,)`, in the product of the objectives' units.
+
+        Raises:
+            ValueError: if a shape does not fit, a value is NaN or a standard deviation negative.
+        """
+        return self._expected(*self._moments(mean, stddev), lower)
+
+    def expected_improvement_with_gradient(
+        self, mean: ArrayLike, stddev: ArrayLike, lower: ArrayLike | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return `expected_improvement` and its gradients in mean and standard deviation.
+
+        Returns:
+            `(m,)`, `(m, P)` and `(m, P)`.
+        """
+        return self._expected_with_gradient(*self._moments(mean, stddev), lower)
+
+    def _expected(
+        self, mean: FloatArray, stddev: FloatArray, lower: ArrayLike | None
+    ) -> FloatArray:
+        return box_tree.expected_improvements(
+            self._tree,
+            self._levels[: self._n_levels],
+            mean,
+            stddev,
+            self._floor(lower),
+            _RELATIVE_TOLERANCE,
+        )
+
+    def _expected_with_gradient(
+        self, mean: FloatArray, stddev: FloatArray, lower: ArrayLike | None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return box_tree.expected_improvements_with_gradient(
+            self._tree,
+            self._levels[: self._n_levels],
+            mean,
+            stddev,
+            self._floor(lower),
+            _RELATIVE_TOLERANCE,
+        )
+
+    def _predictions(self, values: ArrayLike, name: str) -> FloatArray:
+        predictions = as_points(values, name, len(self.reference))
+        if np.isnan(predictions).any():
+            raise ValueError(f"{name} must not hold NaN")
+        return predictions
+
+    def _moments(self, mean: ArrayLike, stddev: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        mean = self._predictions(mean, "mean")
+        stddev = self._predictions(stddev, "stddev")
+        if mean.shape != stddev.shape:
+            raise ValueError(f"stddev must have the shape of mean {mean.shape}, not {stddev.shape}")
+        if (stddev < 0.0).any():
+            raise ValueError(f"stddev must not be negative: {stddev.min()}")
+        return mean, stddev
+
+    def _floor(self, lower: ArrayLike | None) -> FloatArray:
+        if lower is None:
+            return np.full_like(self.reference, -np.inf)
+        floor = np.ascontiguousarray(lower, dtype=np.float64)
+        if floor.shape != self.reference.shape:
+            raise ValueError(f"lower must have shape {self.reference.shape}, not {floor.shape}")
+        if not (floor < self.reference).all():
+            raise ValueError(f"lower {floor} must lie below the reference point {self.reference}")
+        return floor
+
+    def _index_type(self) -> type[np.signedinteger[Any]]:
+        return np.int16 if len(self._levels) <= _MOST_NARROW_LEVELS else np.int32
+
+    def _reserve(self, n_new_nodes: int) -> None:
+        """Make room for one more point and so many nodes, at least doubling what is enlarged."""
+        if self._n_levels == len(self._levels):
+            self._levels = _enlarged(self._levels, 2 * self._n_levels, -np.inf)
+        needed = self._n_nodes + n_new_nodes
+        capacity = len(self._tree.axis)
+        index_type = self._index_type()
+        if needed <= capacity and self._tree.upper.dtype == index_type:
+            return
+        if needed > capacity:
+            capacity = max(needed, 2 * capacity)
+        self._tree = BoxTree(*(_enlarged(array, capacity, 0) for array in self._tree))._replace(
+            upper=_enlarged(self._tree.upper.astype(index_type), capacity, 0),
+            lower=_enlarged(self._tree.lower.astype(index_type), capacity, 0),
+        )
+
+
+def _empty_tree(n_objectives: int, index_type: type[np.signedinteger[Any]]) -> BoxTree:
+    tree = BoxTree(
+        upper=np.zeros((_INITIAL_NODES, n_objectives), index_type),
+        lower=np.zeros((_INITIAL_NODES, n_objectives), index_type),
+        axis=np.zeros(_INITIAL_NODES, np.int8),
+        first_child=np.zeros(_INITIAL_NODES, np.int32),
+        n_children=np.zeros(_INITIAL_NODES, np.int8),
+    )
+    tree.upper[0] = np.arange(n_objectives)
+    tree.lower[0] = n_objectives
+    tree.first_child[0] = box_tree.LEAF
+    return tree
+
+
+def _enlarged(array: NDArray[Any], size: int, fill: float) -> NDArray[Any]:
+    larger = np.full((size, *array.shape[1:]), fill, dtype=array.dtype)
+    larger[: len(array)] = array
+    return larger

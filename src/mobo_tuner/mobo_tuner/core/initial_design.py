@@ -1,0 +1,27 @@
+"""Where a run begins: set-points chosen before any model is trusted."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from scipy.stats import qmc
+
+from .problem import Array
+
+Design = Literal["latin_hypercube", "random"]
+
+
+def initial_design(kind: Design, n: int, d: int, seed: int) -> Array:
+    """Draw `n` points of ``[-1, 1]^d``, shape ``(n, d)``.
+
+    `latin_hypercube` spreads the points along each axis ([Roussel2021]_, section
+    subsec:convergence); `random` draws them uniformly (its toy problem). The points depend on the
+    arguments alone.
+    """
+    rng = np.random.default_rng([seed, 0])
+    if kind == "latin_hypercube":
+        unit = qmc.LatinHypercube(d, rng=rng).random(n)
+    else:
+        unit = rng.random((n, d))
+    return 2.0 * unit - 1.0

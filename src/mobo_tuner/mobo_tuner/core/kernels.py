@@ -1,0 +1,316 @@
+"""Covariance functions of the Gaussian processes, each with its equation and its derivatives.
+
+Every kernel here is a variance times a profile of a squared distance,
+
+    k(x, x') = s^2 g(r^2),   r^2 = (x - x')^T Lambda (x - x'),
+
+with the precision matrix Lambda of `[Roussel2021]_` Eq. (eqn:RBF). A kernel class knows its profile and how its
+shape parameters make Lambda; the variance s^2 is held by the model. Length-scales are in units of the normalised
+inputs, where each variable spans [-1, 1].
+
+.. [Roussel2021] R. Roussel, A. Hanuka, A. Edelen, "Multiobjective Bayesian optimization for online accelerator
+   tuning", Phys. Rev. Accel. Beams 24, 062801 (2021), Appendix (sec:regression).
+.. [Hanuka2021] A. Hanuka et al., "Physics model-informed Gaussian process for online optimization of particle
+   accelerators", Phys. Rev. Accel. Beams 24, 072802 (2021).
+.. [Hvarfner2024] C. Hvarfner, E. O. Hellsten, L. Nardi, "Vanilla Bayesian optimization performs great in high
+   dimensions", ICML 2024.
+.. [Rasmussen2006] C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", MIT Press (2006).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mobo_tuner.core.linear_algebra import FloatArray
+
+KernelName = Literal["rbf_isotropic", "rbf", "rbf_full", "matern52"]
+
+SHORTEST_LENGTH_SCALE = 0.05
+LONGEST_LENGTH_SCALE = 100.0
+_LARGEST_TRIANGLE_ENTRY = 20.0
+
+
+class NormalPrior(NamedTuple):
+    """Independent normal priors of parameters: mean and standard deviation, each `(k,)`."""
+
+    mean: FloatArray
+    stddev: FloatArray
+
+
+def log_length_scale_prior(d: int) -> tuple[float, float]:
+    """Mean and standard deviation of the log length-scale: wider with the square root of the dimension d.
+
+    `[Hvarfner2024]_` Eq. (7), sqrt(2) + log(d) / 2 and sqrt(3) on the unit cube; here a variable spans 2, which adds
+    log(2) to the mean.
+    """
+    return float(np.sqrt(2.0) + 0.5 * np.log(d) + np.log(2.0)), float(np.sqrt(3.0))
+
+
+class Kernel(ABC):
+    """Shape of a covariance function of d inputs, by a vector of k shape parameters.
+
+    `parameters` is always that vector `(k,)`: logarithms of positive quantities, and the plain entries of the
+    triangle of the full precision matrix.
+    """
+
+    def __init__(self, d: int) -> None:
+        self.d = d
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """Number k of shape parameters."""
+
+    @abstractmethod
+    def profile(self, squared_distance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Profile `g(r^2)` and slope `w = -2 dg/d(r^2)`, both of the argument's shape; `g(0) = 1`, `w >= 0`."""
+
+    @abstractmethod
+    def factor(self, parameters: FloatArray) -> FloatArray:
+        """A matrix F `(d, d)` with `Lambda = F F^T`, so that distances are Euclidean between rows of `X F`."""
+
+    @abstractmethod
+    def pull_back(self, parameters: FloatArray, precision_gradient: FloatArray) -> FloatArray:
+        """Gradient `(k,)` of a loss in the parameters from its gradient `(d, d)`, symmetric, in Lambda."""
+
+    @abstractmethod
+    def default_parameters(self) -> FloatArray:
+        """Start `(k,)` of a training that has no better one."""
+
+    @abstractmethod
+    def bounds(self) -> FloatArray:
+        """Lowest and highest allowed parameters, `(k, 2)`."""
+
+    @abstractmethod
+    def prior(self) -> NormalPrior:
+        """Weakly informative prior of the parameters."""
+
+    def gradient(self, parameters: FloatArray, X: FloatArray, weights: FloatArray) -> FloatArray:
+        """Gradient `(k,)` of `sum_ij C_ij g(r_ij^2)` in the parameters, X `(n, d)`, O(n^2 d).
+
+        Args:
+            parameters: shape parameters `(k,)`.
+            X: inputs `(n, d)`.
+            weights: `w_ij C_ij` `(n, n)`: slope times the symmetric C, its diagonal zero (it has no influence, and
+                its rounding errors are kept away); either all of it or, with zeros above, twice its lower triangle.
+        """
+        row_sums = weights.sum(axis=1) + weights.sum(axis=0)
+        moment = X.T @ (weights @ X)
+        # sum_ij W_ij (x_i - x_j)(x_i - x_j)^T, with d g / d Lambda = -w / 2 times that product.
+        scatter = (X.T * row_sums) @ X - moment - moment.T
+        return self.pull_back(parameters, -0.5 * scatter)
+
+
+def squared_distances(A: FloatArray, B: FloatArray) -> FloatArray:
+    """Squared Euclidean distances `(m, n)` between the rows of A `(m, d)` and B `(n, d)`, never negative."""
+    products = B @ A.T if A is B else A @ B.T
+    products *= -2.0
+    products += np.einsum("ij,ij->i", A, A)[:, None]
+    products += np.einsum("ij,ij->i", B, B)
+    return np.maximum(products, 0.0, out=products)
+
+
+class RBF(Kernel):
+    """Anisotropic radial basis function, `[Roussel2021]_` Eq. (eqn:RBF) with `Lambda = diag(l)^-2`.
+
+        k(x, x') = s^2 exp(-r^2 / 2),   r^2 = sum_a (x_a - x'_a)^2 / l_a^2
+
+    Parameters: `log l`, `(d,)`.
+    """
+
+    @property
+    def size(self) -> int:
+        """One length-scale for each input."""
+        return self.d
+
+    def profile(self, squared_distance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """`g = w = exp(-r^2 / 2)`."""
+        value = np.exp(-0.5 * squared_distance)
+        return value, value
+
+    def factor(self, parameters: FloatArray) -> FloatArray:
+        """`diag(1 / l)`."""
+        return np.diag(np.exp(-parameters))
+
+    def pull_back(self, parameters: FloatArray, precision_gradient: FloatArray) -> FloatArray:
+        """`d Lambda_aa / d log l_a = -2 / l_a^2`."""
+        return -2.0 * np.exp(-2.0 * parameters) * np.diagonal(precision_gradient)
+
+    def default_parameters(self) -> FloatArray:
+        """Length-scales of 2: half of each variable's range of [-1, 1] on either side."""
+        return np.full(self.size, np.log(2.0))
+
+    def bounds(self) -> FloatArray:
+        """Length-scales from 0.05 to 100."""
+        return np.tile(np.log([SHORTEST_LENGTH_SCALE, LONGEST_LENGTH_SCALE]), (self.size, 1))
+
+    def prior(self) -> NormalPrior:
+        """Log-normal in each length-scale, see `log_length_scale_prior`."""
+        mean, stddev = log_length_scale_prior(self.d)
+        return NormalPrior(np.full(self.size, mean), np.full(self.size, stddev))
+
+
+class RBFIsotropic(RBF):
+    """Isotropic radial basis function, `[Roussel2021]_` Eq. (eqn:RBF) with `Lambda = I / lambda^2`.
+
+        k(x, x') = s^2 exp(-|x - x'|^2 / (2 lambda^2))
+
+    Parameters: `log lambda`, `(1,)`.
+    """
+
+    @property
+    def size(self) -> int:
+        """One length-scale."""
+        return 1
+
+    def factor(self, parameters: FloatArray) -> FloatArray:
+        """`I / lambda`."""
+        return np.eye(self.d) * np.exp(-parameters[0])
+
+    def pull_back(self, parameters: FloatArray, precision_gradient: FloatArray) -> FloatArray:
+        """`d Lambda / d log lambda = -2 I / lambda^2`."""
+        return -2.0 * np.exp(-2.0 * parameters) * np.trace(precision_gradient)
+
+
+class Matern52(RBF):
+    """Anisotropic Matern function of smoothness 5/2, `[Rasmussen2006]_` Eq. (4.17).
+
+        k(x, x') = s^2 (1 + sqrt(5) r + 5 r^2 / 3) exp(-sqrt(5) r),   r^2 = sum_a (x_a - x'_a)^2 / l_a^2
+
+    Twice differentiable only, so that one kink or steep flank does not spoil the model everywhere. Parameters:
+    `log l`, `(d,)`.
+    """
+
+    def profile(self, squared_distance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """`w = 5/3 (1 + sqrt(5) r) exp(-sqrt(5) r)` and `g` as above."""
+        root = np.sqrt(5.0 * squared_distance)
+        slope = np.exp(-root)
+        curvature = slope * squared_distance
+        root += 1.0
+        slope *= root
+        value = slope + (5.0 / 3.0) * curvature
+        slope *= 5.0 / 3.0
+        return value, slope
+
+
+class RBFFull(Kernel):
+    """Radial basis function with a full precision matrix, `[Roussel2021]_` Appendix (sec:regression).
+
+        k(x, x') = s^2 exp(-(x - x')^T Lambda (x - x') / 2),   Lambda = L L^T + diag(l)
+
+    with L an upper triangle, its diagonal included, and l positive. Parameters: the d (d + 1) / 2 entries of L row by
+    row, then `log l`; `(d (d + 3) / 2,)`. (The gradients in L vanish at L = 0: it starts elsewhere.)
+    """
+
+    def __init__(self, d: int) -> None:
+        super().__init__(d)
+        self._rows, self._columns = np.triu_indices(d)
+
+    @property
+    def size(self) -> int:
+        """d (d + 1) / 2 entries of the triangle and d of the diagonal."""
+        return len(self._rows) + self.d
+
+    def _triangle(self, parameters: FloatArray) -> FloatArray:
+        triangle = np.zeros((self.d, self.d))
+        triangle[self._rows, self._columns] = parameters[: len(self._rows)]
+        return triangle
+
+    def precision(self, parameters: FloatArray) -> FloatArray:
+        """The precision matrix Lambda `(d, d)`."""
+        triangle = self._triangle(parameters)
+        return triangle @ triangle.T + np.diag(np.exp(parameters[len(self._rows) :]))
+
+    def parameters_of(self, precision: FloatArray) -> FloatArray:
+        """Parameters `(k,)` of a given positive definite Lambda `(d, d)`.
+
+        The least eigenvalue, halved, makes the diagonal l and what is left makes the triangle.
+        """
+        floor = 0.5 * float(np.linalg.eigvalsh(precision)[0])
+        rest = precision - floor * np.eye(self.d)
+        # Reversing rows and columns turns the lower factor into the upper triangle with L L^T = rest.
+        triangle = np.linalg.cholesky(rest[::-1, ::-1])[::-1, ::-1]
+        return np.concatenate([triangle[self._rows, self._columns], np.full(self.d, np.log(floor))])
+
+    def profile(self, squared_distance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """`g = w = exp(-r^2 / 2)`."""
+        value = np.exp(-0.5 * squared_distance)
+        return value, value
+
+    def factor(self, parameters: FloatArray) -> FloatArray:
+        """The lower Cholesky factor of Lambda."""
+        return np.linalg.cholesky(self.precision(parameters))
+
+    def pull_back(self, parameters: FloatArray, precision_gradient: FloatArray) -> FloatArray:
+        """`2 G L` in the triangle and `G_aa l_a` in `log l_a`, with G the gradient in Lambda."""
+        triangle = 2.0 * precision_gradient @ self._triangle(parameters)
+        diagonal = np.diagonal(precision_gradient) * np.exp(parameters[len(self._rows) :])
+        return np.concatenate([triangle[self._rows, self._columns], diagonal])
+
+    def default_parameters(self) -> FloatArray:
+        """Both parts half of a precision of 1/4, that is of length-scales of 2, and no correlation."""
+        triangle = np.where(self._rows == self._columns, np.sqrt(0.125), 0.0)
+        return np.concatenate([triangle, np.full(self.d, np.log(0.125))])
+
+    def bounds(self) -> FloatArray:
+        """The diagonal between the precisions of the longest and shortest length-scale, L within 20."""
+        triangle = np.tile([-_LARGEST_TRIANGLE_ENTRY, _LARGEST_TRIANGLE_ENTRY], (len(self._rows), 1))
+        limits = -2.0 * np.log([LONGEST_LENGTH_SCALE, SHORTEST_LENGTH_SCALE])
+        return np.concatenate([triangle, np.tile(limits, (self.d, 1))])
+
+    def prior(self) -> NormalPrior:
+        """Standard normal in the triangle; the diagonal as if it were the length-scales' inverse square."""
+        mean, stddev = log_length_scale_prior(self.d)
+        m = len(self._rows)
+        return NormalPrior(
+            np.concatenate([np.zeros(m), np.full(self.d, -2.0 * mean)]),
+            np.concatenate([np.ones(m), np.full(self.d, 2.0 * stddev)]),
+        )
+
+
+_KERNELS: dict[KernelName, type[Kernel]] = {
+    "rbf_isotropic": RBFIsotropic,
+    "rbf": RBF,
+    "rbf_full": RBFFull,
+    "matern52": Matern52,
+}
+
+
+def make_kernel(name: KernelName, d: int) -> Kernel:
+    """The kernel of that name for d inputs."""
+    return _KERNELS[name](d)
+
+
+def precision_from_hessian(hessian: ArrayLike, amplitude: float) -> FloatArray:
+    """Precision matrix `(d, d)` from the Hessian of the modelled function at an optimum.
+
+    Near an optimum of height A above (or depth below) its surroundings, `f = A exp(-x^T Lambda x / 2)` has the Hessian
+    `-A Lambda`; hence `Lambda = |H| / A`, `[Hanuka2021]_`, the last sentence of `[Roussel2021]_` (sec:regression).
+    Eigenvalues are taken by their absolute value and kept within the allowed length-scales (0.05 to 100), so that a
+    saddle, a flat direction or a noisy estimate still gives a valid matrix.
+
+    Args:
+        hessian: symmetric `(d, d)`, second derivatives in normalised inputs, in the output's units.
+        amplitude: height A > 0 in the output's units, such as the process' standard deviation.
+
+    Returns:
+        Symmetric positive definite `(d, d)`; `1 / sqrt(diagonal)` are length-scales for an anisotropic kernel.
+
+    Raises:
+        ValueError: the Hessian is not square, symmetric and finite, or the amplitude not positive.
+    """
+    matrix = np.asarray(hessian, dtype=np.float64)
+    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not np.isfinite(matrix).all():
+        raise ValueError(f"hessian must be a finite square matrix, got shape {matrix.shape}")
+    if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-9 * float(np.abs(matrix).max(initial=0.0))):
+        raise ValueError("hessian must be symmetric")
+    if not (np.isfinite(amplitude) and amplitude > 0.0):
+        raise ValueError(f"amplitude must be positive and finite, got {amplitude}")
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    curvatures = np.clip(np.abs(values) / amplitude, LONGEST_LENGTH_SCALE**-2, SHORTEST_LENGTH_SCALE**-2)
+    precision = (vectors * curvatures) @ vectors.T
+    return np.asarray(0.5 * (precision + precision.T))

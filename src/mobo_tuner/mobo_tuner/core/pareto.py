@@ -1,0 +1,88 @@
+"""Pareto dominance between points in objective space, everything minimised.
+
+A point p dominates q when p_j <= q_j in every objective and p_j < q_j in at least one.
+
+NaN: a row with any NaN is a failed evaluation. It neither dominates nor counts as non-dominated.
+Infinities are ordinary values. Of exact duplicates the first row counts and the others do not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+def as_points(values: ArrayLike, name: str, n_objectives: int | None = None) -> FloatArray:
+    """Return `values` as a contiguous float64 array `(n, P)`.
+
+    An empty sequence becomes `(0, P)` when `n_objectives` is given.
+
+    Raises:
+        ValueError: if `values` is not two-dimensional or has not `n_objectives` columns.
+    """
+    points = np.ascontiguousarray(values, dtype=np.float64)
+    if points.size == 0 and n_objectives is not None:
+        return np.empty((0, n_objectives))
+    if points.ndim != 2 or points.shape[1] == 0:
+        raise ValueError(f"{name} must have shape (n, P) with P >= 1, not {points.shape}")
+    if n_objectives is not None and points.shape[1] != n_objectives:
+        raise ValueError(f"{name} must have {n_objectives} columns, not {points.shape[1]}")
+    return points
+
+
+def is_nondominated(points: ArrayLike) -> BoolArray:
+    """Mark the Pareto front of a set of points.
+
+    Args:
+        points: `(n, P)`, minimised; see the module's docstring for NaN and duplicates.
+
+    Returns:
+        `(n,)`, true for the points of the front.
+
+    Raises:
+        ValueError: if `points` is not two-dimensional.
+
+    Complexity: O(k n P) time for k points on the front, O(n P) memory.
+    """
+    points = as_points(points, "points")
+    mask = np.zeros(len(points), dtype=np.bool_)
+    valid = np.flatnonzero(~np.isnan(points).any(axis=1))
+    # In lexicographic order a point is only ever dominated by an earlier one, and the sort is
+    # stable, so what weakly dominates a later point removes it, duplicates included.
+    remaining = valid[np.lexsort(points[valid].T[::-1])]
+    while len(remaining):
+        first = remaining[0]
+        mask[first] = True
+        remaining = remaining[1:]
+        remaining = remaining[(points[remaining] < points[first]).any(axis=1)]
+    return mask
+
+
+def is_below(points: ArrayLike, reference: ArrayLike) -> BoolArray:
+    """Mark the points strictly below the reference point in every objective, `(n, P) -> (n,)`.
+
+    Only these can have a hypervolume. A row with NaN is not below anything.
+    """
+    reference = np.asarray(reference, dtype=np.float64)
+    return (as_points(points, "points", len(reference)) < reference).all(axis=1)
+
+
+def pareto_front(points: ArrayLike, reference: ArrayLike) -> FloatArray:
+    """Return the non-dominated points strictly below the reference point, `(n, P) -> (k, P)`."""
+    points = as_points(points, "points", len(np.asarray(reference)))
+    below = points[is_below(points, reference)]
+    return below[is_nondominated(below)]
+
+
+def project_onto_box(points: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> FloatArray:
+    """Project points onto the truncation box [A, B], as for the truncated hypervolume.
+
+    A point that is not strictly below B dominates nothing inside the box and is dropped, the others
+    are moved up to A where they are below it: `(n, P) -> (k, P)` with k <= n.
+    `[Roussel2021]_`, after the equation of alpha_TEHVI.
+    """
+    points = as_points(points, "points", len(np.asarray(upper)))
+    return np.maximum(points[is_below(points, upper)], np.asarray(lower, dtype=np.float64))

@@ -1,0 +1,464 @@
+"""The problem: what may be changed, what is wanted, and what must hold.
+
+This is the one place where set-points are scaled to ``[-1, 1]`` and where a maximised objective is
+turned round: everything else in the core minimises, as [Roussel2021]_ does.
+
+.. [Roussel2021] R. Roussel, A. Hanuka, A. Edelen, "Multiobjective Bayesian optimization for online
+   accelerator tuning", Phys. Rev. Accel. Beams 24, 062801 (2021).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+Direction = Literal["minimize", "maximize"]
+Array = NDArray[np.float64]
+
+SECTIONS = ("variables", "objectives", "constraints", "observables")
+_NAME = re.compile(r"(?!.*__)[A-Za-z][A-Za-z0-9_]*")
+
+
+class ProblemError(ValueError):
+    """A problem that cannot be tuned; the message is one sentence for the user."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A quantity that the tuner may change, between `minimum` and `maximum` in `unit`.
+
+    `cost` is the relative cost [1] of changing it, for proximal biasing.
+    """
+
+    name: str
+    minimum: float
+    maximum: float
+    unit: str = ""
+    cost: float = 1.0
+
+
+@dataclass(frozen=True)
+class Objective:
+    """A diagnostic to be minimised or maximised.
+
+    `reference` is its component of the reference point, in `unit`: a measured value that is worse
+    earns no hypervolume. `truncation` is its side ``(A, B)`` of the truncation box, in `unit`.
+    """
+
+    name: str
+    reference: float
+    direction: Direction = "minimize"
+    unit: str = ""
+    truncation: tuple[float, float] | None = None
+
+    @property
+    def sign(self) -> float:
+        """+1 where it is minimised, -1 where it is maximised."""
+        return 1.0 if self.direction == "minimize" else -1.0
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """A limit on a diagnostic: ``minimum <= value <= maximum``, in `unit`."""
+
+    name: str
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    unit: str = ""
+
+    def is_met(self, value: float) -> bool:
+        """Whether a measured `value` meets the limit; NaN does not."""
+        return self.minimum <= value <= self.maximum
+
+
+@dataclass(frozen=True)
+class Observable:
+    """A diagnostic that is recorded, neither optimised nor limited."""
+
+    name: str
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Variables, objectives, constraints and observables, in the order in which they were given.
+
+    The field calls it VOCS. Build one with :meth:`from_yaml` or :meth:`from_dict`, which check it.
+    """
+
+    variables: tuple[Variable, ...]
+    objectives: tuple[Objective, ...]
+    constraints: tuple[Constraint, ...] = ()
+    observables: tuple[Observable, ...] = ()
+
+    @classmethod
+    def from_yaml(cls, path: str | Path) -> Problem:
+        """Read a ROS parameter file, or a file that holds the bare mapping.
+
+        Raises:
+            ProblemError: the file cannot be read, or what it holds is not a problem.
+        """
+        return cls.from_dict(load_yaml(path))
+
+    @classmethod
+    def from_dict(cls, mapping: Mapping[str, Any]) -> Problem:
+        """Build a problem from nested mappings, as in a parameter file.
+
+        Raises:
+            ProblemError: a key is unknown or missing, or a value is of the wrong type or not allowed.
+        """
+        parameters = _problem_parameters(mapping)
+        _reject_unknown("the problem", parameters, SECTIONS)
+        sections = {name: _section(parameters, name) for name in SECTIONS}
+        for name in ("variables", "objectives"):
+            if not sections[name]:
+                raise ProblemError(f"'{name}' is missing or empty: at least one is needed")
+        problem = cls(
+            variables=tuple(_variable(n, m) for n, m in sections["variables"].items()),
+            objectives=tuple(_objective(n, m) for n, m in sections["objectives"].items()),
+            constraints=tuple(_constraint(n, m) for n, m in sections["constraints"].items()),
+            observables=tuple(_observable(n, m) for n, m in sections["observables"].items()),
+        )
+        measured = {*problem.objective_names, *(o.name for o in problem.observables)}
+        for variable in problem.variables:
+            if variable.name in measured:
+                raise ProblemError(
+                    f"'{variable.name}' is a variable and an objective or observable: "
+                    "a name can stand for one quantity only"
+                )
+        return problem
+
+    def to_dict(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """The mapping from which :meth:`from_dict` builds an equal problem."""
+        return {
+            "variables": {
+                v.name: {"min": v.minimum, "max": v.maximum, "unit": v.unit, "cost": v.cost}
+                for v in self.variables
+            },
+            "objectives": {
+                o.name: {"direction": o.direction, "reference": o.reference, "unit": o.unit}
+                | ({"truncation": list(o.truncation)} if o.truncation else {})
+                for o in self.objectives
+            },
+            "constraints": {
+                c.name: {
+                    key: value
+                    for key, value in (("min", c.minimum), ("max", c.maximum))
+                    if math.isfinite(value)
+                }
+                | {"unit": c.unit}
+                for c in self.constraints
+            },
+            "observables": {o.name: {"unit": o.unit} for o in self.observables},
+        }
+
+    @property
+    def variable_names(self) -> tuple[str, ...]:
+        """Names of the variables, in order."""
+        return tuple(v.name for v in self.variables)
+
+    @property
+    def objective_names(self) -> tuple[str, ...]:
+        """Names of the objectives, in order."""
+        return tuple(o.name for o in self.objectives)
+
+    @property
+    def required_diagnostics(self) -> tuple[str, ...]:
+        """Diagnostics without which an evaluation is invalid: objectives and constrained ones."""
+        return tuple(dict.fromkeys([*self.objective_names, *(c.name for c in self.constraints)]))
+
+    @property
+    def reference_point(self) -> Array:
+        """Reference point of the minimised objectives, shape ``(P,)``."""
+        return np.array([o.sign * o.reference for o in self.objectives])
+
+    @property
+    def truncation_lower(self) -> Array:
+        """Lower corner A of the minimised objectives' truncation box, shape ``(P,)``; -inf if none."""
+        return np.array(
+            [
+                -math.inf if o.truncation is None else min(o.sign * t for t in o.truncation)
+                for o in self.objectives
+            ]
+        )
+
+    def normalize(self, setpoint: Mapping[str, float]) -> Array:
+        """Scale a set-point in physical units to ``[-1, 1]``, shape ``(d,)``.
+
+        Raises:
+            ProblemError: a variable is missing or unknown, or its value is not a finite number.
+        """
+        _reject_unknown("the set-point", setpoint, self.variable_names)
+        values = []
+        for variable in self.variables:
+            if variable.name not in setpoint:
+                raise ProblemError(f"the set-point lacks the variable '{variable.name}'")
+            value = _number(f"set-point {variable.name}", setpoint[variable.name])
+            span = variable.maximum - variable.minimum
+            values.append(2.0 * (value - variable.minimum) / span - 1.0)
+        return np.array(values)
+
+    def denormalize(self, x: Array) -> dict[str, float]:
+        """Turn ``x`` in ``[-1, 1]``, shape ``(d,)``, into a set-point inside the bounds."""
+        return {
+            v.name: min(
+                max(v.minimum + 0.5 * (float(xi) + 1.0) * (v.maximum - v.minimum), v.minimum),
+                v.maximum,
+            )
+            for v, xi in zip(self.variables, x, strict=True)
+        }
+
+    def is_feasible(self, values: Mapping[str, float]) -> bool:
+        """Whether measured `values` meet every constraint."""
+        return all(c.is_met(values.get(c.name, math.nan)) for c in self.constraints)
+
+    def check_machine(
+        self,
+        limits: Mapping[str, tuple[float, float]],
+        diagnostics: Mapping[str, str],
+        variable_units: Mapping[str, str],
+    ) -> None:
+        """Check that a machine can play this problem.
+
+        Args:
+            limits: the machine's variables with their hard limits.
+            diagnostics: the names of what it measures, with their units.
+            variable_units: the units of its variables.
+
+        Raises:
+            ProblemError: it lacks a variable or a diagnostic, its limits are narrower than the
+                bounds, it needs a variable that the problem does not set, or it speaks of one of
+                them in another unit.
+        """
+        for variable in self.variables:
+            if variable.name not in limits:
+                raise ProblemError(
+                    f"variable '{variable.name}' is not one of the machine's: {_list(limits)}"
+                )
+            low, high = limits[variable.name]
+            for key, value in (("min", variable.minimum), ("max", variable.maximum)):
+                if not low <= value <= high:
+                    raise ProblemError(
+                        f"variables.{variable.name}.{key} is {value:g} {variable.unit}".rstrip()
+                        + f", outside the machine's limits of {low:g} to {high:g}"
+                    )
+        for name in limits:
+            if name not in self.variable_names:
+                raise ProblemError(
+                    f"the machine's variable '{name}' is missing from 'variables': "
+                    f"it needs all of {_list(limits)}"
+                )
+        for variable in self.variables:
+            _check_unit("variable", variable, variable_units)
+        for kind, quantities in (
+            ("objective", self.objectives),
+            ("constraint", self.constraints),
+            ("observable", self.observables),
+        ):
+            for quantity in quantities:
+                if quantity.name not in diagnostics:
+                    raise ProblemError(
+                        f"{kind} '{quantity.name}' is not measured by the machine, "
+                        f"which measures {_list(diagnostics)}"
+                    )
+                _check_unit(kind, quantity, diagnostics)
+
+
+def load_yaml(path: str | Path) -> dict[str, Any]:
+    """Read a YAML file that holds a mapping.
+
+    Raises:
+        ProblemError: it cannot be read, is not YAML, repeats a key or holds something else.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise ProblemError(f"the file '{path}' cannot be read: {reason}") from None
+    try:
+        content = yaml.load(text, Loader=_UniqueKeyLoader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f" in line {mark.line + 1}" if mark else ""
+        what = getattr(error, "problem", None) or "cannot be parsed"
+        raise ProblemError(f"the file '{path}' is not valid YAML{where}: {what}") from None
+    except RecursionError:
+        raise ProblemError(f"the file '{path}' is nested too deeply") from None
+    if not isinstance(content, dict):
+        raise ProblemError(f"the file '{path}' must hold a mapping of parameters")
+    return content
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """YAML loader that refuses a key given twice, of which PyYAML would silently drop the first."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key_node, _ in node.value:
+            key = getattr(key_node, "value", None)
+            if isinstance(key, str):
+                if key in seen:
+                    raise yaml.constructor.ConstructorError(
+                        None, None, f"the key '{key}' stands twice", key_node.start_mark
+                    )
+                seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+def _problem_parameters(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The problem's own mapping, out of a ROS parameter file's ``/**`` section where it is one."""
+    if not isinstance(mapping, Mapping):
+        raise ProblemError(f"the problem must be a mapping, not {_describe(mapping)}")
+    section = mapping.get("/**")
+    if section is None:
+        return mapping
+    if not isinstance(section, Mapping) or "ros__parameters" not in section:
+        raise ProblemError("the section '/**' must hold 'ros__parameters'")
+    parameters = section["ros__parameters"]
+    if not isinstance(parameters, Mapping):
+        raise ProblemError("'ros__parameters' of the section '/**' must be a mapping")
+    return parameters
+
+
+def _section(parameters: Mapping[str, Any], name: str) -> Mapping[str, Mapping[str, Any]]:
+    section = parameters.get(name)
+    if section is None:
+        return {}
+    if not isinstance(section, Mapping):
+        raise ProblemError(f"'{name}' must be a mapping of names, not {_describe(section)}")
+    for key, entry in section.items():
+        if not isinstance(key, str) or not _NAME.fullmatch(key):
+            raise ProblemError(
+                f"'{key}' in '{name}' is no name: letters, digits and single underscores are "
+                "allowed, and a letter comes first"
+            )
+        if entry is not None and not isinstance(entry, Mapping):
+            raise ProblemError(f"'{name}.{key}' must be a mapping, not {_describe(entry)}")
+    return {key: entry or {} for key, entry in section.items()}
+
+
+def _variable(name: str, entry: Mapping[str, Any]) -> Variable:
+    where = f"variables.{name}"
+    _reject_unknown(where, entry, ("min", "max", "unit", "cost"))
+    low = _number(f"{where}.min", _required(where, entry, "min"))
+    high = _number(f"{where}.max", _required(where, entry, "max"))
+    if not low < high:
+        raise ProblemError(f"{where}.min is {low:g}, which must be less than its max of {high:g}")
+    cost = _number(f"{where}.cost", entry.get("cost", 1.0))
+    if cost < 0.0:
+        raise ProblemError(f"{where}.cost is {cost:g}, which must not be negative")
+    return Variable(name, low, high, _text(f"{where}.unit", entry.get("unit", "")), cost)
+
+
+def _objective(name: str, entry: Mapping[str, Any]) -> Objective:
+    where = f"objectives.{name}"
+    _reject_unknown(where, entry, ("direction", "reference", "unit", "truncation"))
+    direction = entry.get("direction", "minimize")
+    if direction not in ("minimize", "maximize"):
+        raise ProblemError(
+            f"{where}.direction is {direction!r}; 'minimize' and 'maximize' are allowed"
+        )
+    reference = _number(f"{where}.reference", _required(where, entry, "reference"))
+    truncation = None
+    if entry.get("truncation") is not None:
+        truncation = _interval(f"{where}.truncation", entry["truncation"])
+        if not truncation[0] <= reference <= truncation[1]:
+            raise ProblemError(
+                f"{where}.reference is {reference:g}, outside its truncation box "
+                f"[{truncation[0]:g}, {truncation[1]:g}]"
+            )
+    unit = _text(f"{where}.unit", entry.get("unit", ""))
+    return Objective(name, reference, direction, unit, truncation)
+
+
+def _constraint(name: str, entry: Mapping[str, Any]) -> Constraint:
+    where = f"constraints.{name}"
+    _reject_unknown(where, entry, ("min", "max", "unit"))
+    if "min" not in entry and "max" not in entry:
+        raise ProblemError(f"{where} needs 'min', 'max' or both")
+    low = _number(f"{where}.min", entry["min"]) if "min" in entry else -math.inf
+    high = _number(f"{where}.max", entry["max"]) if "max" in entry else math.inf
+    if not low < high:
+        raise ProblemError(f"{where}.min is {low:g}, which must be less than its max of {high:g}")
+    return Constraint(name, low, high, _text(f"{where}.unit", entry.get("unit", "")))
+
+
+def _observable(name: str, entry: Mapping[str, Any]) -> Observable:
+    where = f"observables.{name}"
+    _reject_unknown(where, entry, ("unit",))
+    return Observable(name, _text(f"{where}.unit", entry.get("unit", "")))
+
+
+def _interval(where: str, value: object) -> tuple[float, float]:
+    if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != 2:
+        raise ProblemError(f"{where} must be two numbers [A, B], not {_describe(value)}")
+    low, high = (_number(where, v) for v in value)
+    if not low < high:
+        raise ProblemError(f"{where} is [{low:g}, {high:g}], upside down: A must be less than B")
+    return low, high
+
+
+def _required(where: str, entry: Mapping[str, Any], key: str) -> object:
+    if entry.get(key) is None:
+        raise ProblemError(f"{where}.{key} is missing")
+    return entry[key]
+
+
+def _number(where: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
+        raise ProblemError(f"{where} must be a number, not {_describe(value)}")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ProblemError(f"{where} must be a finite number, not {number}")
+    return number
+
+
+def _text(where: str, value: object) -> str:
+    if value is None:
+        return ""
+    if not isinstance(value, str):
+        raise ProblemError(f"{where} must be text, not {_describe(value)}")
+    return value
+
+
+def _reject_unknown(where: str, entry: Mapping[str, Any], allowed: Sequence[str]) -> None:
+    for key in entry:
+        if key not in allowed:
+            raise ProblemError(f"'{key}' is unknown in {where}; allowed are {_list(allowed)}")
+
+
+def _describe(value: object) -> str:
+    if isinstance(value, str):
+        return f"the text {value[:40]!r}"
+    if value is None:
+        return "empty"
+    kinds = {bool: "a truth value", list: "a list", dict: "a mapping"}
+    return f"{kinds.get(type(value), 'the value')} ({str(value)[:40]})"
+
+
+def _check_unit(
+    kind: str,
+    quantity: Variable | Objective | Constraint | Observable,
+    units: Mapping[str, str],
+) -> None:
+    unit = units.get(quantity.name, "")
+    if quantity.unit and unit and quantity.unit != unit:
+        raise ProblemError(
+            f"the unit of the {kind} '{quantity.name}' is '{quantity.unit}', "
+            f"but the machine gives it in '{unit}'"
+        )
+
+
+def _list(names: Iterable[str]) -> str:
+    return ", ".join(names)

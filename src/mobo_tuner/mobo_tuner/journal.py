@@ -1,0 +1,188 @@
+"""The journal of a run: one line of JSON per event, on disk before the run goes on.
+
+A run folder holds `journal.jsonl`, from which alone its report is made. Records:
+
+- ``start``, always the first: `run_id`, `stamp`, `problem` (as `Problem.to_dict` gives it),
+  `settings`;
+- ``evaluation``, one per evaluation: `index`, `source` (``initial``, ``model`` or ``operator``),
+  `stamp`, `setpoint` and `readbacks` ({name: value}), `diagnostics` ({name: [mean, standard
+  deviation]}), `valid`, `feasible`, `error_code`, `error_msg`, `hypervolume`, `suggest_seconds`,
+  `machine_seconds`, `total_seconds`;
+- ``end``, the last of a run that was not killed: `stop_reason`, `error_code`, `error_msg`.
+
+Stamps are seconds since the epoch. The JSON is strict: a number that is not finite is written as
+null, which reads as "not measured" or "unknown".
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+FILE_NAME = "journal.jsonl"
+
+Record = dict[str, Any]
+
+
+class JournalError(ValueError):
+    """A journal that cannot be read; the message is one sentence for the user."""
+
+
+class Journal:
+    """An append-only journal, open for writing; build one with :meth:`create`.
+
+    Attributes:
+        path: of the file.
+    """
+
+    def __init__(self, path: Path, descriptor: int) -> None:
+        self.path = path
+        self._descriptor = descriptor
+        self._size = 0
+
+    @classmethod
+    def create(cls, run_dir: str | Path, header: Mapping[str, Any]) -> Journal:
+        """Start the journal of a run in its folder, which is made if it is missing.
+
+        Args:
+            run_dir: the run's folder.
+            header: what the ``start`` record holds beside its type.
+
+        Raises:
+            FileExistsError: the folder holds a journal already.
+            OSError: the folder or the file cannot be written.
+            ValueError: the header cannot be written as JSON.
+        """
+        line = _line({"type": "start", **header})
+        folder = Path(run_dir)
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / FILE_NAME
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC
+        try:
+            descriptor = os.open(path, flags, 0o644)
+        except FileExistsError:
+            raise FileExistsError(f"the journal '{path}' exists already") from None
+        journal = cls(path, descriptor)
+        try:
+            journal._write(line)
+            _sync_folder(folder)
+        except BaseException:
+            journal.close()
+            raise
+        return journal
+
+    def append(self, record: Mapping[str, Any]) -> None:
+        """Write one record; it is on disk when this returns.
+
+        Raises:
+            OSError: it could not be written; the journal then holds nothing of it.
+            ValueError: the record has no type, cannot be written as JSON, or the journal is closed.
+        """
+        if not isinstance(record.get("type"), str):
+            raise ValueError(f"a journal record needs a type, which {dict(record)!r:.80} lacks")
+        self._write(_line(record))
+
+    def close(self) -> None:
+        """Close the file; may be called again."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _write(self, line: bytes) -> None:
+        if self._descriptor < 0:
+            raise ValueError(f"the journal '{self.path}' is closed")
+        try:
+            rest = memoryview(line)
+            while rest:
+                rest = rest[os.write(self._descriptor, rest) :]
+            os.fsync(self._descriptor)
+        except OSError:
+            # Half a line would spoil the next one.
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._descriptor, self._size)
+            raise
+        self._size += len(line)
+
+
+def read_journal(path: str | Path) -> list[Record]:
+    """Read a journal's records in order.
+
+    A last line that is incomplete or damaged is left out: that is how a killed process leaves it.
+
+    Args:
+        path: of the journal, or of the run folder that holds it.
+
+    Raises:
+        JournalError: it cannot be read, an earlier line is no record, or the first is no start.
+    """
+    file = Path(path)
+    if file.is_dir():
+        file /= FILE_NAME
+    try:
+        content = file.read_bytes()
+    except OSError as error:
+        raise JournalError(f"the journal '{file}' cannot be read: {error.strerror}") from None
+    lines = content.split(b"\n")
+    while lines and not lines[-1].strip():
+        lines.pop()
+    records = []
+    for number, line in enumerate(lines, start=1):
+        record = _record(line)
+        if record is not None:
+            records.append(record)
+        elif number < len(lines):
+            raise JournalError(f"line {number} of the journal '{file}' is not a record")
+    if not records or records[0]["type"] != "start":
+        raise JournalError(f"the journal '{file}' does not begin with a start record")
+    return records
+
+
+def _record(line: bytes) -> Record | None:
+    try:
+        record = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return record if isinstance(record, dict) and isinstance(record.get("type"), str) else None
+
+
+def _line(record: Mapping[str, Any]) -> bytes:
+    text = json.dumps(_strict(record), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    return text.encode() + b"\n"
+
+
+def _strict(value: Any) -> Any:
+    """The value as strict JSON can hold it."""
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): _strict(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, str | int | bool):
+        return value
+    raise ValueError(f"a journal cannot hold {value!r:.80}")
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make a new file's name last through a power cut, where the file system can."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):
+            os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

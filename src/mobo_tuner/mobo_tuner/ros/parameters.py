@@ -1,0 +1,238 @@
+"""Parameters: declared, described and checked in one way, from ROS or from a file before it starts.
+
+Nothing here imports rclpy at the top, so that a parameter file can be checked before any node runs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from ..core.problem import SECTIONS, Problem, ProblemError
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+ParameterValue = bool | int | float | str
+
+
+@dataclass(frozen=True)
+class ParameterSpec:
+    """One parameter of a node; its type is that of `default`. All are read when the node starts."""
+
+    name: str
+    default: ParameterValue
+    description: str
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    choices: tuple[str, ...] = ()
+
+    def check(self, value: object, where: str = "") -> ParameterValue:
+        """The value as this parameter's type.
+
+        Raises:
+            ProblemError: it is of another type or not allowed; `where` precedes the name.
+        """
+        name = f"{where}{self.name}"
+        if isinstance(self.default, bool) or isinstance(value, bool):
+            if not (isinstance(self.default, bool) and isinstance(value, bool)):
+                raise ProblemError(f"{name} must be {self.type_name}, not {value!r}")
+            return value
+        if isinstance(self.default, str):
+            if not isinstance(value, str):
+                raise ProblemError(f"{name} must be {self.type_name}, not {value!r}")
+            if self.choices and value not in self.choices:
+                raise ProblemError(
+                    f"{name} is {value!r}; allowed are {', '.join(self.choices)}"
+                )
+            return value
+        whole = isinstance(self.default, int)
+        if not isinstance(value, int if whole else int | float) or not math.isfinite(value):
+            raise ProblemError(f"{name} must be {self.type_name}, not {value!r}")
+        if not self.minimum <= value <= self.maximum:
+            raise ProblemError(f"{name} is {value}; {self.range_text} is allowed")
+        return value if whole else float(value)
+
+    @property
+    def type_name(self) -> str:
+        """The parameter's type, in words."""
+        names = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
+        return names[type(self.default)]
+
+    @property
+    def range_text(self) -> str:
+        """What is allowed, in words; empty where everything is."""
+        if self.choices:
+            return ", ".join(self.choices)
+        low, high = f"{self.minimum:g}", f"{self.maximum:g}"
+        if math.isfinite(self.minimum) and math.isfinite(self.maximum):
+            return f"{low} to {high}"
+        if math.isfinite(self.minimum):
+            return f"at least {low}"
+        return f"at most {high}" if math.isfinite(self.maximum) else ""
+
+
+TUNER = (
+    ParameterSpec(
+        "preset",
+        "default",
+        "how candidates are chosen: the best recipe known, or the paper's to the letter",
+        choices=("default", "paper"),
+    ),
+    ParameterSpec("seed", 0, "of every random choice of a run", minimum=0, maximum=2**31 - 1),
+    ParameterSpec(
+        "evaluations", 60, "budget of a run whose goal names none", minimum=1, maximum=100_000
+    ),
+    ParameterSpec(
+        "initial_evaluations",
+        0,
+        "points of the Latin-hypercube start; 0 = as many as the preset thinks fit",
+        minimum=0,
+        maximum=10_000,
+    ),
+    ParameterSpec(
+        "shots",
+        0,
+        "shots to average over per evaluation; 0 = as many as the machine thinks fit",
+        minimum=0,
+        maximum=10_000,
+    ),
+    ParameterSpec(
+        "runs_dir", "", "folder of the runs, where the journal is kept; empty = no journal"
+    ),
+    ParameterSpec(
+        "discovery_timeout",
+        10.0,
+        "how long a goal waits for the machine to appear [s]",
+        minimum=0.1,
+        maximum=3600.0,
+    ),
+    ParameterSpec(
+        "machine_timeout",
+        5.0,
+        "silence of the machine (no feedback, no result) after which it counts as lost [s]",
+        minimum=0.5,
+        maximum=3600.0,
+    ),
+    ParameterSpec(
+        "suggestion_timeout",
+        300.0,
+        "longest time that one suggestion may take [s]",
+        minimum=1.0,
+        maximum=86_400.0,
+    ),
+    ParameterSpec(
+        "evaluation_timeout",
+        900.0,
+        "longest time that one evaluation may take [s]",
+        minimum=1.0,
+        maximum=86_400.0,
+    ),
+    ParameterSpec(
+        "max_consecutive_failures",
+        10,
+        "failed evaluations in a row after which the run ends with an error",
+        minimum=1,
+        maximum=100_000,
+    ),
+)
+
+RECORDER = (
+    ParameterSpec("bag_path", "", "folder of the bag; must not exist yet"),
+    ParameterSpec(
+        "discovery_period",
+        0.2,
+        "how often new topics are looked for [s]",
+        minimum=0.05,
+        maximum=60.0,
+    ),
+)
+
+_PROBLEM_DESCRIPTIONS = {
+    ("variables", "min"): "lower bound of the search",
+    ("variables", "max"): "upper bound of the search",
+    ("variables", "cost"): "relative cost of changing the variable",
+    ("objectives", "direction"): "minimize or maximize",
+    ("objectives", "reference"): "component of the reference point",
+    ("objectives", "truncation"): "side [A, B] of the truncation box",
+    ("constraints", "min"): "least value that is feasible",
+    ("constraints", "max"): "greatest value that is feasible",
+}
+
+
+def check_section(
+    where: str, section: Mapping[str, Any], specs: Sequence[ParameterSpec]
+) -> dict[str, ParameterValue]:
+    """Check one node's parameters as they stand in a file; defaults fill what is not given.
+
+    Raises:
+        ProblemError: a parameter is unknown, of the wrong type or not allowed.
+    """
+    known = {spec.name: spec for spec in specs}
+    for name in section:
+        if name not in known and name != "use_sim_time":
+            raise ProblemError(f"'{name}' is unknown in {where}; allowed are {', '.join(known)}")
+    return {
+        spec.name: spec.check(section.get(spec.name, spec.default), f"{where}.") for spec in specs
+    }
+
+
+def declare(node: Node, specs: Sequence[ParameterSpec]) -> dict[str, ParameterValue]:
+    """Declare parameters read-only with description and range, and return their values.
+
+    Raises:
+        ProblemError: a value is of the wrong type or not allowed.
+    """
+    from rcl_interfaces.msg import ParameterDescriptor
+
+    values = {}
+    for spec in specs:
+        descriptor = ParameterDescriptor(
+            name=spec.name,
+            description=spec.description,
+            additional_constraints=spec.range_text,
+            read_only=True,
+            dynamic_typing=True,  # so that `speed: 100` may stand for 100.0; checked below
+        )
+        if node.has_parameter(spec.name):
+            value = node.get_parameter(spec.name).value
+            node.set_descriptor(spec.name, descriptor)
+        else:
+            value = node.declare_parameter(spec.name, spec.default, descriptor).value
+        values[spec.name] = spec.check(value)
+    return values
+
+
+def declare_problem(node: Node) -> Problem:
+    """Build the problem from the parameters under `variables`, `objectives`, and so on.
+
+    The node must declare its parameters from overrides, since only the file knows their names.
+
+    Raises:
+        ProblemError: they do not make up a problem.
+    """
+    from rcl_interfaces.msg import ParameterDescriptor
+
+    nested: dict[str, Any] = {}
+    for section in SECTIONS:
+        for key, parameter in node.get_parameters_by_prefix(section).items():
+            branch = nested.setdefault(section, {})
+            *path, leaf = key.split(".")
+            for part in path:
+                branch = branch.setdefault(part, {})
+                if not isinstance(branch, dict):
+                    raise ProblemError(f"'{section}.{key}' stands below a value")
+            value = parameter.value
+            branch[leaf] = list(value) if hasattr(value, "tolist") else value
+            node.set_descriptor(
+                f"{section}.{key}",
+                ParameterDescriptor(
+                    name=f"{section}.{key}",
+                    description=_PROBLEM_DESCRIPTIONS.get((section, leaf), ""),
+                    read_only=True,
+                    dynamic_typing=True,
+                ),
+            )
+    return Problem.from_dict(nested)

@@ -1,0 +1,122 @@
+"""The life of a node's process: start, spin, stop on SIGINT or SIGTERM, always end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from types import FrameType
+from typing import Protocol
+
+import rclpy
+from rclpy.exceptions import ROSInterruptException
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+POLL_PERIOD = 0.1  # [s] a signal is noticed within this time
+STOP_TIMEOUT = 2.0  # [s] for a node to finish what it is doing
+EXIT_TIMEOUT = 3.5  # [s] after which the process ends whatever it is doing
+
+
+class StartError(Exception):
+    """A node cannot start; the message is one sentence for the user."""
+
+
+class ManagedNode(Protocol):
+    """A node that can be stopped in an orderly way."""
+
+    @property
+    def node(self) -> Node:
+        """The rclpy node."""
+
+    @property
+    def exit_code(self) -> int | None:
+        """The process's exit status once the node is finished of itself; None before."""
+
+    async def stop(self) -> None:
+        """Finish what is running; rclpy still works."""
+
+    def close(self) -> None:
+        """Release everything; called once, last, whatever happened."""
+
+
+def run_node(
+    create: Callable[[Executor], ManagedNode], args: Sequence[str] | None = None
+) -> int:
+    """Run one node until it is finished or a signal asks it to stop.
+
+    Every call of rclpy happens on this thread. The first SIGINT or SIGTERM stops the node in an
+    orderly way, the second at once; in no case does the process outlive the signal by more than
+    `EXIT_TIMEOUT` seconds.
+
+    Args:
+        create: builds the node, given the executor on which it will run.
+        args: command line; that of the process where None.
+
+    Returns:
+        The exit status: 0, or what the node says, or 2 when it cannot start.
+    """
+    stop = _StopRequest()
+    argv = list(sys.argv if args is None else args)
+    try:
+        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # rclpy raises many kinds for an unreadable parameter file
+        print(f"cannot start: {_first_line(error)}", file=sys.stderr)
+        return 2
+    executor = SingleThreadedExecutor()
+    try:
+        try:
+            managed = create(executor)
+        except (StartError, ValueError) as error:
+            print(f"cannot start: {_first_line(error)}", file=sys.stderr)
+            return 2
+        try:
+            executor.add_node(managed.node)
+            while managed.exit_code is None and not stop.requested:
+                executor.spin_once(timeout_sec=POLL_PERIOD)
+            task = executor.create_task(managed.stop)
+            deadline = time.monotonic() + STOP_TIMEOUT
+            while not task.done() and time.monotonic() < deadline:
+                executor.spin_once(timeout_sec=POLL_PERIOD)
+            if task.done() and task.exception() is not None:
+                managed.node.get_logger().error(f"while stopping: {task.exception()}")
+            return managed.exit_code or 0
+        except (ExternalShutdownException, ROSInterruptException):
+            return 0
+        finally:
+            managed.close()
+    finally:
+        executor.shutdown(timeout_sec=0.5)
+        rclpy.try_shutdown()
+
+
+def exit_process(status: int) -> None:
+    """End the process now; threads that still compute are not waited for."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
+
+
+class _StopRequest:
+    """Remembers that SIGINT or SIGTERM came, and sees to it that the process ends in time."""
+
+    def __init__(self) -> None:
+        self.requested = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._handle)
+
+    def _handle(self, number: int, _frame: FrameType | None) -> None:
+        if self.requested:
+            os._exit(128 + number)
+        self.requested = True
+        watchdog = threading.Timer(EXIT_TIMEOUT, os._exit, args=(128 + number,))
+        watchdog.daemon = True
+        watchdog.start()
+
+
+def _first_line(error: BaseException) -> str:
+    return str(error).strip().split("\n", maxsplit=1)[0]

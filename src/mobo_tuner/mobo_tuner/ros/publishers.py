@@ -1,0 +1,59 @@
+"""What the tuner publishes."""
+
+from __future__ import annotations
+
+from mobo_msgs_py import msg
+from rclpy.node import Node
+from std_msgs.msg import Float64
+
+from ..core.problem import Problem
+from .qos import LATCHED, STREAM
+
+
+class TunerPublishers:
+    """The tuner's topics, all relative to its namespace.
+
+    `problem`, `status` and `pareto_front` are latched. Beside `evaluation` stands one flat topic
+    `plot/<name>` per variable, diagnostic and figure, for plotting tools that cannot look into
+    arrays.
+    """
+
+    def __init__(self, node: Node, problem: Problem) -> None:
+        self._problem = node.create_publisher(msg.Problem, "problem", LATCHED)
+        self._status = node.create_publisher(msg.TunerStatus, "status", LATCHED)
+        self._front = node.create_publisher(msg.ParetoFront, "pareto_front", LATCHED)
+        self._evaluation = node.create_publisher(msg.Evaluation, "evaluation", STREAM)
+        names = dict.fromkeys(
+            [
+                *problem.variable_names,
+                *problem.required_diagnostics,
+                *(o.name for o in problem.observables),
+                "hypervolume",
+                "suggest_seconds",
+            ]
+        )
+        self._plots = {
+            name: node.create_publisher(Float64, f"plot/{name}", STREAM) for name in names
+        }
+
+    def problem(self, message: msg.Problem) -> None:
+        """Publish the problem of a run that begins."""
+        self._problem.publish(message)
+
+    def status(self, message: msg.TunerStatus) -> None:
+        """Publish what the tuner is doing."""
+        self._status.publish(message)
+
+    def front(self, message: msg.ParetoFront) -> None:
+        """Publish the Pareto front as it is now."""
+        self._front.publish(message)
+
+    def evaluation(self, message: msg.Evaluation) -> None:
+        """Publish an evaluation, whole and as flat channels."""
+        self._evaluation.publish(message)
+        values = {item.name: item.value for item in (*message.diagnostics, *message.setpoint)}
+        values["hypervolume"] = message.hypervolume
+        values["suggest_seconds"] = message.suggest_seconds
+        for name, publisher in self._plots.items():
+            if name in values:
+                publisher.publish(Float64(data=values[name]))

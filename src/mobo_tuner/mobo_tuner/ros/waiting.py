@@ -1,0 +1,53 @@
+"""Waiting inside coroutines of an executor: for a condition, or for whichever comes first."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.task import Future
+
+_STEADY = Clock(clock_type=ClockType.STEADY_TIME)  # timeouts are wall time, also in simulated time
+
+
+async def first_of(node: Node, *futures: Future[Any], timeout: float) -> Future[Any] | None:
+    """The first of `futures` that is done, or None after `timeout` seconds."""
+    signal: Future[None] = Future(executor=node.executor)
+
+    def notify(*_: object) -> None:
+        if not signal.done():
+            signal.set_result(None)
+
+    for future in futures:
+        if future.done():
+            return future
+        future.add_done_callback(notify)
+    timer = node.create_timer(timeout, notify, clock=_STEADY)
+    try:
+        await signal
+    finally:
+        node.destroy_timer(timer)
+    return next((future for future in futures if future.done()), None)
+
+
+async def until(
+    node: Node,
+    condition: Callable[[], bool],
+    *futures: Future[Any],
+    timeout: float,
+    period: float = 0.05,
+) -> bool:
+    """Wait for `condition` to hold, or for one of `futures` to be done, or for the timeout.
+
+    Returns:
+        Whether the condition held in the end; it is looked at every `period` seconds.
+    """
+    deadline = time.monotonic() + timeout
+    while not condition():
+        if time.monotonic() >= deadline or any(future.done() for future in futures):
+            return False
+        await first_of(node, *futures, timeout=period)
+    return True

@@ -1,0 +1,28 @@
+"""Names of runs: they become folder names, so they are confined to harmless characters."""
+
+from __future__ import annotations
+
+import re
+import secrets
+from datetime import datetime
+
+_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
+
+
+def check_run_id(run_id: str) -> str:
+    """The run id itself.
+
+    Raises:
+        ValueError: it is not allowed as the name of a folder.
+    """
+    if not _PATTERN.fullmatch(run_id):
+        raise ValueError(
+            f"run_id is {run_id[:120]!r}; letters, digits, '_', '.' and '-' are allowed, "
+            "a letter or digit first, 100 characters at most"
+        )
+    return run_id
+
+
+def new_run_id(label: str) -> str:
+    """A fresh run id that starts with the local time, so that runs sort by age."""
+    return f"{datetime.now():%Y%m%d-%H%M%S}-{label}-{secrets.token_hex(2)}"

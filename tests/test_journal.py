@@ -1,0 +1,192 @@
+"""The journal: what is written is there, also after the writer is killed."""
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mobo_tuner.journal import FILE_NAME, Journal, JournalError, read_journal
+
+HEADER = {"run_id": "run1", "stamp": 12.5, "problem": {"variables": {}}, "settings": {"seed": 3}}
+
+
+def test_records_come_back_in_order(tmp_path: Path) -> None:
+    with Journal.create(tmp_path / "runs" / "run1", HEADER) as journal:
+        journal.append({"type": "evaluation", "index": 0, "setpoint": {"µ": 1.5}})
+        journal.append({"type": "end", "stop_reason": "budget"})
+    assert journal.path == tmp_path / "runs" / "run1" / FILE_NAME
+    expected = [
+        {"type": "start", **HEADER},
+        {"type": "evaluation", "index": 0, "setpoint": {"µ": 1.5}},
+        {"type": "end", "stop_reason": "budget"},
+    ]
+    assert read_journal(journal.path) == expected
+    assert read_journal(tmp_path / "runs" / "run1") == expected
+
+
+def test_a_record_is_in_the_file_when_append_returns(tmp_path: Path) -> None:
+    with Journal.create(tmp_path, HEADER) as journal:
+        for index in range(3):
+            journal.append({"type": "evaluation", "index": index})
+            assert len(read_journal(tmp_path)) == index + 2
+
+
+def test_numbers_that_are_not_finite_become_null_and_the_json_is_strict(tmp_path: Path) -> None:
+    with Journal.create(tmp_path, HEADER) as journal:
+        journal.append(
+            {
+                "type": "evaluation",
+                "diagnostics": {"a": [math.nan, math.inf], "b": (-math.inf, 1.0)},
+                "hypervolume": np.float64(2.5),
+                "array": np.array([1.0, np.nan]),
+                "flag": np.bool_(True),
+                "index": np.int64(7),
+            }
+        )
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(constant)
+
+    line = journal.path.read_text(encoding="utf-8").splitlines()[1]
+    assert json.loads(line, parse_constant=refuse) == {
+        "type": "evaluation",
+        "diagnostics": {"a": [None, None], "b": [None, 1.0]},
+        "hypervolume": 2.5,
+        "array": [1.0, None],
+        "flag": True,
+        "index": 7,
+    }
+
+
+def test_text_with_a_line_break_stays_one_line(tmp_path: Path) -> None:
+    with Journal.create(tmp_path, HEADER) as journal:
+        journal.append({"type": "end", "error_msg": "one\ntwo\u2028three"})
+    assert read_journal(tmp_path)[1]["error_msg"] == "one\ntwo\u2028three"
+
+
+def test_an_existing_journal_is_never_overwritten(tmp_path: Path) -> None:
+    Journal.create(tmp_path, HEADER).close()
+    before = (tmp_path / FILE_NAME).read_bytes()
+    with pytest.raises(FileExistsError, match="exists already"):
+        Journal.create(tmp_path, {"run_id": "other"})
+    assert (tmp_path / FILE_NAME).read_bytes() == before
+
+
+def test_a_header_that_is_no_json_leaves_nothing_behind(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="cannot hold"):
+        Journal.create(tmp_path / "run", {"problem": object()})
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    "record", [{"index": 1}, {"type": 3}, {"type": "end", "x": {1, 2}}, {}], ids=str
+)
+def test_a_record_that_is_none_is_refused(tmp_path: Path, record: dict[str, object]) -> None:
+    with Journal.create(tmp_path, HEADER) as journal, pytest.raises(ValueError, match="journal"):
+        journal.append(record)
+    assert len(read_journal(tmp_path)) == 1
+
+
+def test_a_closed_journal_refuses_records(tmp_path: Path) -> None:
+    journal = Journal.create(tmp_path, HEADER)
+    journal.close()
+    journal.close()
+    with pytest.raises(ValueError, match="closed"):
+        journal.append({"type": "end"})
+
+
+@pytest.mark.parametrize(
+    "tail",
+    [b'{"type": "evaluation", "ind', b'{"type"', b"\x00\x00\x00\xff", b'"text"\n', b"{}\n"],
+)
+def test_a_damaged_last_line_is_left_out(tmp_path: Path, tail: bytes) -> None:
+    with Journal.create(tmp_path, HEADER) as journal:
+        journal.append({"type": "evaluation", "index": 0})
+    with journal.path.open("ab") as file:
+        file.write(tail)
+    assert [r["type"] for r in read_journal(tmp_path)] == ["start", "evaluation"]
+
+
+def test_a_last_line_that_lacks_only_its_end_is_kept(tmp_path: Path) -> None:
+    with Journal.create(tmp_path, HEADER) as journal:
+        journal.append({"type": "end", "stop_reason": "budget"})
+    journal.path.write_bytes(journal.path.read_bytes().rstrip())
+    assert [r["type"] for r in read_journal(tmp_path)] == ["start", "end"]
+
+
+def test_a_damaged_earlier_line_is_an_error_that_names_it(tmp_path: Path) -> None:
+    with Journal.create(tmp_path, HEADER) as journal:
+        journal.append({"type": "evaluation", "index": 0})
+        journal.append({"type": "end"})
+    lines = journal.path.read_bytes().splitlines()
+    lines[1] = lines[1][:10]
+    journal.path.write_bytes(b"\n".join(lines))
+    with pytest.raises(JournalError, match="line 2 of the journal") as caught:
+        read_journal(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"\n\n", b'{"type": "end"}\n', b"broken"])
+def test_a_journal_without_a_start_is_an_error(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / FILE_NAME).write_bytes(content)
+    with pytest.raises(JournalError, match="does not begin with a start record"):
+        read_journal(tmp_path)
+
+
+def test_a_missing_journal_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(JournalError, match="cannot be read: No such file"):
+        read_journal(tmp_path)
+
+
+def test_a_full_disk_leaves_whole_lines_and_the_journal_usable(tmp_path: Path) -> None:
+    script = """
+import json, resource, sys
+from mobo_tuner.journal import Journal
+journal = Journal.create(sys.argv[1], {"run_id": "r"})
+soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+try:
+    journal.append({"type": "evaluation", "text": "x" * 2000})
+except OSError as error:
+    print(type(error).__name__)
+resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+journal.append({"type": "end"})
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=True,
+    )
+    assert done.stdout.strip() == "OSError"
+    assert [r["type"] for r in read_journal(tmp_path)] == ["start", "end"]
+
+
+def test_every_announced_record_survives_kill_9(tmp_path: Path) -> None:
+    script = """
+import itertools, sys
+from mobo_tuner.journal import Journal
+journal = Journal.create(sys.argv[1], {"run_id": "r"})
+for index in itertools.count():
+    journal.append({"type": "evaluation", "index": index, "text": "x" * 5000})
+    print(index, flush=True)
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", script, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        announced = -1
+        while announced < 20:
+            announced = int(process.stdout.readline())
+        os.kill(process.pid, signal.SIGKILL)
+        rest = [line for line in process.stdout.read().splitlines() if line]
+    announced = max([announced, *map(int, rest)])
+    indices = [r["index"] for r in read_journal(tmp_path) if r["type"] == "evaluation"]
+    assert indices[: announced + 1] == list(range(announced + 1))
+    assert len(indices) <= announced + 2
