@@ -4,7 +4,7 @@ Everything inside works on set-points scaled to ``[-1, 1]`` and on minimised obj
 :class:`Problem` translates from and to physical units.
 """
 
-from .problem import Problem, ProblemError
+from mobo_tuner.core.problem import Problem, ProblemError
 
 __all__ = ["Optimizer", "Problem", "ProblemError"]
 
@@ -12,7 +12,7 @@ __all__ = ["Optimizer", "Problem", "ProblemError"]
 def __getattr__(name: str) -> object:
     # The optimiser takes a second to import; who only checks a problem need not wait for it.
     if name == "Optimizer":
-        from .optimizer import Optimizer
+        from mobo_tuner.core.optimizer import Optimizer
 
         return Optimizer
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .problem import Array, Problem, ProblemError
+from mobo_tuner.core.problem import Array, Problem, ProblemError
 
 Measured = float | tuple[float, float]
 """What is told of a diagnostic: its mean, or its mean and standard deviation."""

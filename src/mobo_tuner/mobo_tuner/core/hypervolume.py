@@ -26,11 +26,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mobo_tuner.core import box_tree
+from mobo_tuner.core import box_sums, box_tree
 from mobo_tuner.core.box_tree import BoxTree
 from mobo_tuner.core.pareto import FloatArray, as_points, is_below, is_nondominated
 
-_MOST_NARROW_LEVELS = 32_000
+_MOST_NARROW_LEVELS = 65_000
 _INITIAL_NODES = 1024
 _RELATIVE_TOLERANCE = 1e-12
 
@@ -89,13 +89,16 @@ class BoxDecomposition:
         self._levels = np.full((n_objectives + 1 + max(len(front), 64), n_objectives), -np.inf)
         np.fill_diagonal(self._levels, self.reference)
         self._n_levels = n_objectives + 1
-        self._tree = _empty_tree(n_objectives, self._index_type())
+        self._tree = _empty_tree(n_objectives, self._index_type(), _INITIAL_NODES)
         self._n_nodes = 1
         self._n_boxes = 1
         self._hypervolume = 0.0
         volumes = np.log(self.reference - front).sum(axis=1)
         for point in front[np.argsort(-volumes, kind="stable")]:
             self.add(point)
+        packed = _empty_tree(n_objectives, self._index_type(), self._n_nodes)
+        box_tree.pack(self._tree, packed, self._n_levels)
+        self._tree = packed
 
     @property
     def hypervolume(self) -> float:
@@ -125,7 +128,7 @@ class BoxDecomposition:
         Raises:
             ValueError: if the shape does not fit or a component is minus infinity.
         """
-        point = np.ascontiguousarray(point, dtype=np.float64)
+        point = np.require(point, np.float64, ["C", "A", "W"])
         if point.shape != self.reference.shape:
             raise ValueError(f"point must have shape {self.reference.shape}, not {point.shape}")
         if np.isneginf(point).any():
@@ -168,7 +171,10 @@ class BoxDecomposition:
         one of the two one-sided ones.
         """
         candidates = self._predictions(candidates, "candidates")
-        return self._expected_with_gradient(candidates, np.zeros_like(candidates), lower)[:2]
+        improvements, gradients = self._expected_with_gradient(
+            candidates, np.zeros_like(candidates), lower
+        )
+        return improvements, gradients[:, :, 0]
 
     def expected_improvement(
         self, mean: ArrayLike, stddev: ArrayLike, lower: ArrayLike | None = None
@@ -199,12 +205,13 @@ class BoxDecomposition:
         Returns:
             `(m,)`, `(m, P)` and `(m, P)`.
         """
-        return self._expected_with_gradient(*self._moments(mean, stddev), lower)
+        improvements, gradients = self._expected_with_gradient(*self._moments(mean, stddev), lower)
+        return improvements, gradients[:, :, 0], gradients[:, :, 1]
 
     def _expected(
         self, mean: FloatArray, stddev: FloatArray, lower: ArrayLike | None
     ) -> FloatArray:
-        return box_tree.expected_improvements(
+        return box_sums.expected_improvements(
             self._tree,
             self._levels[: self._n_levels],
             mean,
@@ -215,8 +222,8 @@ class BoxDecomposition:
 
     def _expected_with_gradient(
         self, mean: FloatArray, stddev: FloatArray, lower: ArrayLike | None
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        return box_tree.expected_improvements_with_gradient(
+    ) -> tuple[FloatArray, FloatArray]:
+        return box_sums.expected_improvements_with_gradient(
             self._tree,
             self._levels[: self._n_levels],
             mean,
@@ -243,15 +250,15 @@ class BoxDecomposition:
     def _floor(self, lower: ArrayLike | None) -> FloatArray:
         if lower is None:
             return np.full_like(self.reference, -np.inf)
-        floor = np.ascontiguousarray(lower, dtype=np.float64)
+        floor = np.require(lower, np.float64, ["C", "A", "W"])
         if floor.shape != self.reference.shape:
             raise ValueError(f"lower must have shape {self.reference.shape}, not {floor.shape}")
         if not (floor < self.reference).all():
             raise ValueError(f"lower {floor} must lie below the reference point {self.reference}")
         return floor
 
-    def _index_type(self) -> type[np.signedinteger[Any]]:
-        return np.int16 if len(self._levels) <= _MOST_NARROW_LEVELS else np.int32
+    def _index_type(self) -> type[np.unsignedinteger[Any]]:
+        return np.uint16 if len(self._levels) <= _MOST_NARROW_LEVELS else np.uint32
 
     def _reserve(self, n_new_nodes: int) -> None:
         """Make room for one more point and so many nodes, at least doubling what is enlarged."""
@@ -270,17 +277,18 @@ class BoxDecomposition:
         )
 
 
-def _empty_tree(n_objectives: int, index_type: type[np.signedinteger[Any]]) -> BoxTree:
+def _empty_tree(
+    n_objectives: int, index_type: type[np.unsignedinteger[Any]], capacity: int
+) -> BoxTree:
     tree = BoxTree(
-        upper=np.zeros((_INITIAL_NODES, n_objectives), index_type),
-        lower=np.zeros((_INITIAL_NODES, n_objectives), index_type),
-        axis=np.zeros(_INITIAL_NODES, np.int8),
-        first_child=np.zeros(_INITIAL_NODES, np.int32),
-        n_children=np.zeros(_INITIAL_NODES, np.int8),
+        upper=np.zeros((capacity, n_objectives), index_type),
+        lower=np.zeros((capacity, n_objectives), index_type),
+        axis=np.zeros(capacity, np.uint8),
+        first_child=np.full(capacity, box_tree.LEAF, np.uint32),
+        n_children=np.zeros(capacity, np.uint8),
     )
     tree.upper[0] = np.arange(n_objectives)
     tree.lower[0] = n_objectives
-    tree.first_child[0] = box_tree.LEAF
     return tree
 
 

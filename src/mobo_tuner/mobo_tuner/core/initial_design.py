@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from scipy.stats import qmc
 
-from .problem import Array
+from mobo_tuner.core.problem import Array
 
 Design = Literal["latin_hypercube", "random"]
 

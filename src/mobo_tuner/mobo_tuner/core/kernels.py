@@ -4,17 +4,18 @@ Every kernel here is a variance times a profile of a squared distance,
 
     k(x, x') = s^2 g(r^2),   r^2 = (x - x')^T Lambda (x - x'),
 
-with the precision matrix Lambda of `[Roussel2021]_` Eq. (eqn:RBF). A kernel class knows its profile and how its
-shape parameters make Lambda; the variance s^2 is held by the model. Length-scales are in units of the normalised
-inputs, where each variable spans [-1, 1].
+with the precision matrix Lambda of `[Roussel2021]_` Eq. (eqn:RBF). A kernel class knows its profile
+and how its shape parameters make Lambda; the variance s^2 is held by the model. Length-scales are
+in units of the normalised inputs, where each variable spans [-1, 1].
 
-.. [Roussel2021] R. Roussel, A. Hanuka, A. Edelen, "Multiobjective Bayesian optimization for online accelerator
-   tuning", Phys. Rev. Accel. Beams 24, 062801 (2021), Appendix (sec:regression).
-.. [Hanuka2021] A. Hanuka et al., "Physics model-informed Gaussian process for online optimization of particle
-   accelerators", Phys. Rev. Accel. Beams 24, 072802 (2021).
-.. [Hvarfner2024] C. Hvarfner, E. O. Hellsten, L. Nardi, "Vanilla Bayesian optimization performs great in high
-   dimensions", ICML 2024.
-.. [Rasmussen2006] C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", MIT Press (2006).
+.. [Roussel2021] R. Roussel, A. Hanuka, A. Edelen, "Multiobjective Bayesian optimization for online
+   accelerator tuning", Phys. Rev. Accel. Beams 24, 062801 (2021), Appendix (sec:regression).
+.. [Hanuka2021] A. Hanuka et al., "Physics model-informed Gaussian process for online optimization
+   of particle accelerators", Phys. Rev. Accel. Beams 24, 072802 (2021).
+.. [Hvarfner2024] C. Hvarfner, E. O. Hellsten, L. Nardi, "Vanilla Bayesian optimization performs
+   great in high dimensions", ICML 2024.
+.. [Rasmussen2006] C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning",
+   MIT Press (2006).
 """
 
 from __future__ import annotations
@@ -42,10 +43,10 @@ class NormalPrior(NamedTuple):
 
 
 def log_length_scale_prior(d: int) -> tuple[float, float]:
-    """Mean and standard deviation of the log length-scale: wider with the square root of the dimension d.
+    """Mean and standard deviation of the log length-scale, which grows as the square root of d.
 
-    `[Hvarfner2024]_` Eq. (7), sqrt(2) + log(d) / 2 and sqrt(3) on the unit cube; here a variable spans 2, which adds
-    log(2) to the mean.
+    `[Hvarfner2024]_` Eq. (7), sqrt(2) + log(d) / 2 and sqrt(3) on the unit cube; here a variable
+    spans 2, which adds log(2) to the mean.
     """
     return float(np.sqrt(2.0) + 0.5 * np.log(d) + np.log(2.0)), float(np.sqrt(3.0))
 
@@ -53,8 +54,8 @@ def log_length_scale_prior(d: int) -> tuple[float, float]:
 class Kernel(ABC):
     """Shape of a covariance function of d inputs, by a vector of k shape parameters.
 
-    `parameters` is always that vector `(k,)`: logarithms of positive quantities, and the plain entries of the
-    triangle of the full precision matrix.
+    `parameters` is always that vector `(k,)`: logarithms of positive quantities, and the plain
+    entries of the triangle of the full precision matrix.
     """
 
     def __init__(self, d: int) -> None:
@@ -67,15 +68,15 @@ class Kernel(ABC):
 
     @abstractmethod
     def profile(self, squared_distance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Profile `g(r^2)` and slope `w = -2 dg/d(r^2)`, both of the argument's shape; `g(0) = 1`, `w >= 0`."""
+        """Profile `g(r^2)` and slope `w = -2 dg/d(r^2) >= 0`, of the argument's shape."""
 
     @abstractmethod
     def factor(self, parameters: FloatArray) -> FloatArray:
-        """A matrix F `(d, d)` with `Lambda = F F^T`, so that distances are Euclidean between rows of `X F`."""
+        """F `(d, d)` with `Lambda = F F^T`: distances are Euclidean between rows of `X F`."""
 
     @abstractmethod
     def pull_back(self, parameters: FloatArray, precision_gradient: FloatArray) -> FloatArray:
-        """Gradient `(k,)` of a loss in the parameters from its gradient `(d, d)`, symmetric, in Lambda."""
+        """Gradient `(k,)` in the parameters of what has the gradient `(d, d)` in Lambda."""
 
     @abstractmethod
     def default_parameters(self) -> FloatArray:
@@ -95,8 +96,9 @@ class Kernel(ABC):
         Args:
             parameters: shape parameters `(k,)`.
             X: inputs `(n, d)`.
-            weights: `w_ij C_ij` `(n, n)`: slope times the symmetric C, its diagonal zero (it has no influence, and
-                its rounding errors are kept away); either all of it or, with zeros above, twice its lower triangle.
+            weights: `w_ij C_ij` `(n, n)`: slope times the symmetric C, its diagonal zero (it has no
+                influence, and its rounding errors are kept away); either all of it or, with zeros
+                above, twice its lower triangle.
         """
         row_sums = weights.sum(axis=1) + weights.sum(axis=0)
         moment = X.T @ (weights @ X)
@@ -105,8 +107,18 @@ class Kernel(ABC):
         return self.pull_back(parameters, -0.5 * scatter)
 
 
+def as_inputs(X: ArrayLike, d: int | None = None) -> FloatArray:
+    """Normalised inputs as an array `(n, d)`; ValueError where not finite or of another shape."""
+    inputs = np.asarray(X, dtype=np.float64)
+    if inputs.ndim != 2 or inputs.shape[1] == 0 or (d is not None and inputs.shape[1] != d):
+        raise ValueError(f"X must have shape (n, {d or 'd >= 1'}), got {inputs.shape}")
+    if not np.isfinite(inputs).all():
+        raise ValueError("X must be finite, got NaN or infinity")
+    return inputs
+
+
 def squared_distances(A: FloatArray, B: FloatArray) -> FloatArray:
-    """Squared Euclidean distances `(m, n)` between the rows of A `(m, d)` and B `(n, d)`, never negative."""
+    """Squared Euclidean distances `(m, n)` between rows of A `(m, d)` and B `(n, d)`, >= 0."""
     products = B @ A.T if A is B else A @ B.T
     products *= -2.0
     products += np.einsum("ij,ij->i", A, A)[:, None]
@@ -179,10 +191,11 @@ class RBFIsotropic(RBF):
 class Matern52(RBF):
     """Anisotropic Matern function of smoothness 5/2, `[Rasmussen2006]_` Eq. (4.17).
 
-        k(x, x') = s^2 (1 + sqrt(5) r + 5 r^2 / 3) exp(-sqrt(5) r),   r^2 = sum_a (x_a - x'_a)^2 / l_a^2
+        k(x, x') = s^2 (1 + sqrt(5) r + 5 r^2 / 3) exp(-sqrt(5) r)
+        r^2 = sum_a (x_a - x'_a)^2 / l_a^2
 
-    Twice differentiable only, so that one kink or steep flank does not spoil the model everywhere. Parameters:
-    `log l`, `(d,)`.
+    Twice differentiable only, so that one kink or steep flank does not spoil the model everywhere.
+    Parameters: `log l`, `(d,)`.
     """
 
     def profile(self, squared_distance: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -198,12 +211,13 @@ class Matern52(RBF):
 
 
 class RBFFull(Kernel):
-    """Radial basis function with a full precision matrix, `[Roussel2021]_` Appendix (sec:regression).
+    """Radial basis function with a full precision matrix, `[Roussel2021]_` (sec:regression).
 
         k(x, x') = s^2 exp(-(x - x')^T Lambda (x - x') / 2),   Lambda = L L^T + diag(l)
 
-    with L an upper triangle, its diagonal included, and l positive. Parameters: the d (d + 1) / 2 entries of L row by
-    row, then `log l`; `(d (d + 3) / 2,)`. (The gradients in L vanish at L = 0: it starts elsewhere.)
+    with L an upper triangle, its diagonal included, and l positive. Parameters: the d (d + 1) / 2
+    entries of L row by row, then `log l`; `(d (d + 3) / 2,)`. (The gradients in L vanish at L = 0:
+    it starts elsewhere.)
     """
 
     def __init__(self, d: int) -> None:
@@ -212,7 +226,7 @@ class RBFFull(Kernel):
 
     @property
     def size(self) -> int:
-        """d (d + 1) / 2 entries of the triangle and d of the diagonal."""
+        """The d (d + 1) / 2 entries of the triangle and d of the diagonal."""
         return len(self._rows) + self.d
 
     def _triangle(self, parameters: FloatArray) -> FloatArray:
@@ -257,13 +271,15 @@ class RBFFull(Kernel):
         return np.concatenate([triangle, np.full(self.d, np.log(0.125))])
 
     def bounds(self) -> FloatArray:
-        """The diagonal between the precisions of the longest and shortest length-scale, L within 20."""
-        triangle = np.tile([-_LARGEST_TRIANGLE_ENTRY, _LARGEST_TRIANGLE_ENTRY], (len(self._rows), 1))
+        """The diagonal as for length-scales from 0.05 to 100, L within 20."""
+        triangle = np.tile(
+            [-_LARGEST_TRIANGLE_ENTRY, _LARGEST_TRIANGLE_ENTRY], (len(self._rows), 1)
+        )
         limits = -2.0 * np.log([LONGEST_LENGTH_SCALE, SHORTEST_LENGTH_SCALE])
         return np.concatenate([triangle, np.tile(limits, (self.d, 1))])
 
     def prior(self) -> NormalPrior:
-        """Standard normal in the triangle; the diagonal as if it were the length-scales' inverse square."""
+        """Standard normal in the triangle; the diagonal as inverse squares of length-scales."""
         mean, stddev = log_length_scale_prior(self.d)
         m = len(self._rows)
         return NormalPrior(
@@ -288,17 +304,19 @@ def make_kernel(name: KernelName, d: int) -> Kernel:
 def precision_from_hessian(hessian: ArrayLike, amplitude: float) -> FloatArray:
     """Precision matrix `(d, d)` from the Hessian of the modelled function at an optimum.
 
-    Near an optimum of height A above (or depth below) its surroundings, `f = A exp(-x^T Lambda x / 2)` has the Hessian
-    `-A Lambda`; hence `Lambda = |H| / A`, `[Hanuka2021]_`, the last sentence of `[Roussel2021]_` (sec:regression).
-    Eigenvalues are taken by their absolute value and kept within the allowed length-scales (0.05 to 100), so that a
-    saddle, a flat direction or a noisy estimate still gives a valid matrix.
+    Near an optimum of height A above (or depth below) its surroundings, `A exp(-x^T Lambda x / 2)`
+    has the Hessian `-A Lambda`; hence `Lambda = |H| / A`, `[Hanuka2021]_`, the last sentence of
+    `[Roussel2021]_` (sec:regression). Eigenvalues are taken by their absolute value and kept within
+    the allowed length-scales (0.05 to 100), so that a saddle, a flat direction or a noisy estimate
+    still gives a valid matrix.
 
     Args:
         hessian: symmetric `(d, d)`, second derivatives in normalised inputs, in the output's units.
         amplitude: height A > 0 in the output's units, such as the process' standard deviation.
 
     Returns:
-        Symmetric positive definite `(d, d)`; `1 / sqrt(diagonal)` are length-scales for an anisotropic kernel.
+        Symmetric positive definite `(d, d)`; `1 / sqrt(diagonal)` are length-scales for an
+        anisotropic kernel.
 
     Raises:
         ValueError: the Hessian is not square, symmetric and finite, or the amplitude not positive.
@@ -306,11 +324,15 @@ def precision_from_hessian(hessian: ArrayLike, amplitude: float) -> FloatArray:
     matrix = np.asarray(hessian, dtype=np.float64)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not np.isfinite(matrix).all():
         raise ValueError(f"hessian must be a finite square matrix, got shape {matrix.shape}")
-    if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-9 * float(np.abs(matrix).max(initial=0.0))):
+    if not np.allclose(
+        matrix, matrix.T, rtol=1e-6, atol=1e-9 * float(np.abs(matrix).max(initial=0.0))
+    ):
         raise ValueError("hessian must be symmetric")
     if not (np.isfinite(amplitude) and amplitude > 0.0):
         raise ValueError(f"amplitude must be positive and finite, got {amplitude}")
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
-    curvatures = np.clip(np.abs(values) / amplitude, LONGEST_LENGTH_SCALE**-2, SHORTEST_LENGTH_SCALE**-2)
+    curvatures = np.clip(
+        np.abs(values) / amplitude, LONGEST_LENGTH_SCALE**-2, SHORTEST_LENGTH_SCALE**-2
+    )
     precision = (vectors * curvatures) @ vectors.T
     return np.asarray(0.5 * (precision + precision.T))

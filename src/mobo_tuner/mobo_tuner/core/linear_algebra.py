@@ -1,7 +1,7 @@
-"""Linear algebra shared by the models: one BLAS thread, a Cholesky factor that does not fail, its inverse.
+"""Linear algebra of the models: one BLAS thread, a Cholesky factor that does not fail.
 
-Small matrices (n of a few hundred) are slower on several BLAS threads than on one, and far slower when the
-cores are busy; therefore every model runs its linear algebra inside `single_blas_thread`.
+Small matrices (n of a few hundred) are slower on several BLAS threads than on one, and far slower
+when the cores are busy; therefore every model runs its linear algebra inside `single_blas_thread`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _LAST_JITTER = 1e2
 
 
 class _BlasThreadLimit:
-    """A limit shared by all threads: set by the first that enters, lifted by the last that leaves."""
+    """A limit shared by all threads: set by the first to enter, lifted by the last to leave."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -54,7 +54,8 @@ def _blas_thread_limit() -> _BlasThreadLimit:
 def single_blas_thread() -> Iterator[None]:
     """Run the block with one BLAS thread; may be nested and entered from several threads.
 
-    The outermost entry costs about 15 microseconds, an inner one less than 1: a caller of many small predictions
+    The outermost entry costs about 15 microseconds, an inner one less than 1: a caller of many
+    small predictions
     holds it around all of them.
     """
     limit = _blas_thread_limit()
@@ -72,12 +73,13 @@ def cholesky(matrix: FloatArray) -> tuple[FloatArray, float]:
         matrix: `(n, n)` symmetric and finite; not modified.
 
     Returns:
-        The factor `(n, n)` of `matrix + jitter I` in Fortran order with zeros above the diagonal, and the jitter:
-        0 where the matrix is positive definite in floating point, else 1e-10 of the mean diagonal, times ten until
-        the factorisation succeeds. O(n^3 / 3).
+        The factor `(n, n)` of `matrix + jitter I` in Fortran order with zeros above the diagonal,
+        and the jitter: 0 where the matrix is positive definite in floating point, else 1e-10 of the
+        mean diagonal, times ten until the factorisation succeeds. O(n^3 / 3).
 
     Raises:
-        ValueError: the matrix has a value that is not finite, or is far from positive semi-definite.
+        ValueError: the matrix has a value that is not finite, or is far from positive
+            semi-definite.
     """
     factor, info = lapack.dpotrf(matrix.T, lower=1, clean=1)
     if info == 0:
@@ -97,7 +99,7 @@ def cholesky(matrix: FloatArray) -> tuple[FloatArray, float]:
 
 
 def inverse_triangle(factor: FloatArray) -> FloatArray:
-    """Inverse of a lower triangular matrix `(n, n)`, in Fortran order with zeros above the diagonal; O(n^3 / 3)."""
+    """Inverse of a lower triangular matrix `(n, n)`, zeros above, Fortran order; O(n^3 / 3)."""
     inverse, info = lapack.dtrtri(factor, lower=1)
     if info != 0:
         raise ValueError(f"the triangular factor is singular at row {info}")
@@ -105,7 +107,7 @@ def inverse_triangle(factor: FloatArray) -> FloatArray:
 
 
 def inverse_lower(factor: FloatArray) -> FloatArray:
-    """Lower triangle (zeros above) of `(L L^T)^-1` for the lower Cholesky factor `L`; O(2 n^3 / 3)."""
+    """Lower triangle of `(L L^T)^-1`, zeros above, for a Cholesky factor L; O(2 n^3 / 3)."""
     inverse, info = lapack.dpotri(factor, lower=1)
     if info != 0:
         raise ValueError(f"the triangular factor is singular at row {info}")

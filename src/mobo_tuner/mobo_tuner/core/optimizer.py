@@ -1,7 +1,7 @@
-from .problem import *
-from .dataset import Dataset
-from .initial_design import initial_design
-from .pareto import is_nondominated
+from mobo_tuner.core.problem import *
+from mobo_tuner.core.dataset import Dataset
+from mobo_tuner.core.initial_design import initial_design
+from mobo_tuner.core.pareto import is_nondominated
 import numpy as np
 class Optimizer:
     def __init__(self, problem, preset="default", seed=0, **kw):

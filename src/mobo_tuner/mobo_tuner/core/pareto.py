@@ -16,14 +16,15 @@ BoolArray = NDArray[np.bool_]
 
 
 def as_points(values: ArrayLike, name: str, n_objectives: int | None = None) -> FloatArray:
-    """Return `values` as a contiguous float64 array `(n, P)`.
+    """Return `values` as a contiguous, writable float64 array `(n, P)`, copied only if need be.
 
-    An empty sequence becomes `(0, P)` when `n_objectives` is given.
+    So the kernels see one kind of array and are compiled once. An empty sequence becomes `(0, P)`
+    when `n_objectives` is given.
 
     Raises:
         ValueError: if `values` is not two-dimensional or has not `n_objectives` columns.
     """
-    points = np.ascontiguousarray(values, dtype=np.float64)
+    points = np.require(values, np.float64, ["C", "A", "W"])
     if points.size == 0 and n_objectives is not None:
         return np.empty((0, n_objectives))
     if points.ndim != 2 or points.shape[1] == 0:
@@ -67,7 +68,8 @@ def is_below(points: ArrayLike, reference: ArrayLike) -> BoolArray:
     Only these can have a hypervolume. A row with NaN is not below anything.
     """
     reference = np.asarray(reference, dtype=np.float64)
-    return (as_points(points, "points", len(reference)) < reference).all(axis=1)
+    mask: BoolArray = np.all(as_points(points, "points", len(reference)) < reference, axis=1)
+    return mask
 
 
 def pareto_front(points: ArrayLike, reference: ArrayLike) -> FloatArray:

@@ -14,10 +14,10 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.task import Future
 
-from ..core import Optimizer, ProblemError
-from ..core.dataset import Evaluation
-from ..journal import Journal
-from ..ros.conversions import (
+from mobo_tuner.core import Optimizer, ProblemError
+from mobo_tuner.core.dataset import Evaluation
+from mobo_tuner.journal import Journal
+from mobo_tuner.ros.conversions import (
     evaluation_message,
     front_message,
     measurements_of,
@@ -27,13 +27,13 @@ from ..ros.conversions import (
     seconds,
     values_of,
 )
-from ..ros.machine_client import Answer, MachineClient, MachineLostError
-from ..ros.parameters import TUNER, declare, declare_problem
-from ..ros.process import STOP_TIMEOUT, exit_process, run_node
-from ..ros.publishers import TunerPublishers
-from ..ros.waiting import first_of, until
-from ..ros.worker import Worker
-from ..run_id import check_run_id, new_run_id
+from mobo_tuner.ros.machine_client import Answer, MachineClient, MachineLostError
+from mobo_tuner.ros.parameters import TUNER, declare, declare_problem
+from mobo_tuner.ros.process import STOP_TIMEOUT, exit_process, run_node
+from mobo_tuner.ros.publishers import TunerPublishers
+from mobo_tuner.ros.waiting import first_of, until
+from mobo_tuner.ros.worker import Worker
+from mobo_tuner.run_id import check_run_id, new_run_id
 
 STATUS_PERIOD = 1.0  # [s]
 STOPPED = "the tuner was asked to stop"

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping
 from builtin_interfaces.msg import Time
 from mobo_msgs_py import msg
 
-from ..core.dataset import Evaluation
-from ..core.problem import Problem
+from mobo_tuner.core.dataset import Evaluation
+from mobo_tuner.core.problem import Problem
 
 
 def seconds(stamp: Time) -> float:

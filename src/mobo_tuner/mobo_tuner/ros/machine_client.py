@@ -14,9 +14,9 @@ from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.task import Future
 
-from ..core.problem import Problem
-from .conversions import measurements_of, named_values, problem_units, values_of
-from .waiting import first_of, until
+from mobo_tuner.core.problem import Problem
+from mobo_tuner.ros.conversions import measurements_of, named_values, problem_units, values_of
+from mobo_tuner.ros.waiting import first_of, until
 
 CANCEL_TIMEOUT = 0.6  # [s] for the machine to confirm that it stopped
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from ..core.problem import SECTIONS, Problem, ProblemError
+from mobo_tuner.core.problem import SECTIONS, Problem, ProblemError
 
 if TYPE_CHECKING:
     from rclpy.node import Node

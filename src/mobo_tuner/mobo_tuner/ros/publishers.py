@@ -6,8 +6,8 @@ from mobo_msgs_py import msg
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
-from ..core.problem import Problem
-from .qos import LATCHED, STREAM
+from mobo_tuner.core.problem import Problem
+from mobo_tuner.ros.qos import LATCHED, STREAM
 
 
 class TunerPublishers:

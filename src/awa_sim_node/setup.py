@@ -1,0 +1,34 @@
+"""Packaging of awa_sim_node, for pip and for colcon (ament_python)."""
+
+import sys
+
+from setuptools import find_packages, setup
+
+NAME = "awa_sim_node"
+
+data_files = [
+    ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+    (f"share/{NAME}", ["package.xml"]),
+]
+if "bdist_wheel" in sys.argv:  # colcon puts the executable there by setup.cfg, pip does not
+    data_files.append((f"lib/{NAME}", ["wrappers/awa_sim"]))
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="A simulated machine to tune: the AWA injector, or a toy problem.",
+    maintainer="The mobo developers",
+    maintainer_email="mobo-ros@users.noreply.github.com",
+    license="Apache-2.0",
+    python_requires=">=3.11",
+    # rclpy and the message packages come with ROS, or from requirements.txt.
+    install_requires=["mobo_tuner", "numpy", "torch"],
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={
+        NAME: ["py.typed"],
+        f"{NAME}.surrogate": ["*.json", "*.npz", "*.csv", "DATA_CARD.md"],
+    },
+    data_files=data_files,
+    entry_points={"console_scripts": [f"awa_sim = {NAME}.node:main"]},
+    zip_safe=False,
+)

@@ -1,0 +1,154 @@
+"""A rosbag2 folder that can be read at any moment, also after its writer was killed.
+
+The writer of `rosbags` keeps up to 1 MiB in memory and completes the file only when it is closed.
+Here each :meth:`BagWriter.flush` brings all messages to the file and ends it with a footer, which
+the next one overwrites, and renews `metadata.yaml`. So at most the messages since the last flush
+are lost with the process.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from io import BytesIO
+from pathlib import Path
+
+from rosbags.interfaces import Connection, ConnectionExtRosbag2
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.enums import CompressionMode
+from rosbags.rosbag2.metadata import dump_qos_v9
+from rosbags.rosbag2.storage_mcap import McapWriter
+
+# The records DataEnd and Footer, announcing no summary, and the closing magic.
+_ENDING = b"".join(
+    (
+        b"\x0f" + (4).to_bytes(8, "little") + bytes(4),
+        b"\x02" + (20).to_bytes(8, "little") + bytes(20),
+        b"\x89MCAP0\r\n",
+    )
+)
+
+
+class BagWriter(Writer):
+    """Writer of a rosbag2 folder with MCAP storage; open it before use, then close or abort it.
+
+    Messages must come in the order of their timestamps: a bag without its index is not sorted by
+    those who read it. Every method may raise OSError when the disk is full; :meth:`abort` then
+    leaves the bag as the last flush made it.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        super().__init__(path, version=9, storage_plugin=StoragePlugin.MCAP)
+
+    @property
+    def message_count(self) -> int:
+        """Messages written so far."""
+        return sum(self.counts.values())
+
+    def open(self) -> None:
+        """Make the folder, which must not exist, with a bag that holds nothing yet."""
+        super().open()
+        self.flush()
+
+    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
+        """Write one message, received at `timestamp` [ns since the epoch]."""
+        super().write(connection, timestamp, data)
+        if not self._storage.chunk.msgs:  # the message filled its chunk
+            self.flush()
+
+    def flush(self) -> None:
+        """Make the folder readable as it stands."""
+        if self._storage.flush():
+            self._write_metadata()
+
+    @property
+    def _storage(self) -> _Storage:
+        assert isinstance(self.storage, _Storage), "the bag is not open"
+        return self.storage
+
+    def _write_metadata(self) -> None:
+        """Write what `close` writes, as of now; in JSON, which is YAML written fast."""
+        count = self.message_count
+        start = self.min_timestamp if count else 0
+        span = {
+            "starting_time": {"nanoseconds_since_epoch": start},
+            "duration": {"nanoseconds": self.max_timestamp - start if count else 0},
+            "message_count": count,
+        }
+        file_name = self._storage.path.name
+        metadata = {
+            "version": self.version,
+            "storage_identifier": "mcap",
+            "relative_file_paths": [file_name],
+            **span,
+            "topics_with_message_count": [
+                {
+                    "topic_metadata": {
+                        "name": connection.topic,
+                        "type": connection.msgtype,
+                        "serialization_format": connection.ext.serialization_format,
+                        "offered_qos_profiles": dump_qos_v9(connection.ext.offered_qos_profiles),
+                        "type_description_hash": connection.digest,
+                    },
+                    "message_count": self.counts[connection.id],
+                }
+                for connection in self.connections
+                if isinstance(connection.ext, ConnectionExtRosbag2)
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "files": [{"path": file_name, **span}],
+            "custom_data": None,
+            "ros_distro": "rosbags",
+        }
+        text = json.dumps({"rosbag2_bagfile_information": metadata})
+        temporary = self.metapath.with_suffix(".yaml.tmp")
+        try:
+            temporary.write_text(text, encoding="utf-8")
+            temporary.replace(self.metapath)
+        except OSError:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            raise
+
+
+class _Storage(McapWriter):
+    """An MCAP file that is complete after each flush."""
+
+    def __init__(self, path: Path, compression: CompressionMode) -> None:
+        super().__init__(path, compression)
+        self._start = self.bio.tell()
+        self._end = -1  # of the data, without the ending, as of the last flush
+
+    def flush(self) -> bool:
+        """Write what is pending and an ending; return whether there was anything."""
+        if self.chunk.msgs:
+            self.close_chunk()
+        elif self.chunk.bio.tell():  # schemas and channels alone need no chunk
+            self.bio.write(self.chunk.bio.getbuffer())
+            self.chunk.bio = BytesIO()
+        end = self.bio.tell()
+        if end == self._end:
+            return False
+        self.bio.write(_ENDING)
+        self.bio.flush()
+        self.bio.seek(end)
+        self._end = end
+        return True
+
+    def close(self, version: int, metadata: str) -> None:
+        """Complete the file with its index."""
+        self.flush()
+        super().close(version, metadata)
+
+    def abort(self) -> None:
+        """Close the file and leave in it what the last flush did."""
+        with contextlib.suppress(OSError):
+            self.bio.close()
+        with self.path.open("r+b") as file:
+            file.truncate(max(self._end, self._start))
+            file.seek(0, 2)
+            file.write(_ENDING)
+
+
+BagWriter.STORAGE_PLUGINS = {StoragePlugin.MCAP: _Storage}

@@ -1,0 +1,426 @@
+"""Gaussian process regression of one output, `[Roussel2021]_` Appendix (sec:regression)."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
+from mobo_tuner.core.kernels import Kernel, as_inputs, make_kernel
+from mobo_tuner.core.linear_algebra import FloatArray, single_blas_thread
+from mobo_tuner.core.output_scaling import OutputScaling
+from mobo_tuner.core.posterior import Posterior
+from mobo_tuner.core.training import train
+
+__all__ = ["GaussianProcess", "GaussianProcessSettings", "LeaveOneOut", "Prediction"]
+
+_LARGEST_OUTPUT = 1e100
+_CLEARLY_BETTER = 3.0
+
+
+class Prediction(NamedTuple):
+    """Posterior of the latent function in the output's units: `(m,)` twice, then `(m, d)` twice."""
+
+    mean: FloatArray
+    stddev: FloatArray
+    mean_gradient: FloatArray
+    stddev_gradient: FloatArray
+
+
+class LeaveOneOut(NamedTuple):
+    """Each observation predicted from all others, `(n,)` each, in the output's units.
+
+    The standard deviation is that of an observation, its noise included; the log density is that
+    of the observation under its prediction.
+    """
+
+    mean: FloatArray
+    stddev: FloatArray
+    residual: FloatArray
+    log_density: FloatArray
+
+
+class _Model(NamedTuple):
+    """One way to model the output, trained: name, scaling and hyperparameters `(k + 2,)`."""
+
+    name: str
+    scaling: OutputScaling
+    parameters: FloatArray
+
+
+class _State(NamedTuple):
+    """A trained model conditioned on outputs y `(n,)` of known standard deviations `(n,)`."""
+
+    model: _Model
+    posterior: Posterior
+    y: FloatArray
+    stddev: FloatArray
+
+
+class GaussianProcess:
+    """One output, in its own units, as a Gaussian process over inputs normalised to [-1, 1].
+
+    `fit` trains the hyperparameters; `add` then takes single observations in O(n^2), with the
+    hyperparameters and the standardisation of the last `fit`, until the next one. Predictions after
+    `add` are those of a model built from all observations with the same hyperparameters
+    (`condition`), to rounding.
+
+    Same calls, same numbers: `fit` is a function of the data, the last hyperparameters and the
+    generator. To continue a saved model with bitwise the same numbers, `from_state` factorises
+    what the last `fit` or `condition` had and then repeats the `add` calls.
+
+    Many small predictions in a row are cheaper inside one `single_blas_thread` block.
+
+    Args:
+        settings: what is modelled how.
+        reference: the reference point's component, needed by mean="reference".
+
+    Raises:
+        ValueError: the reference is missing or not finite.
+    """
+
+    def __init__(
+        self, settings: GaussianProcessSettings | None = None, reference: float | None = None
+    ) -> None:
+        self.settings = settings or GaussianProcessSettings()
+        if reference is not None and not np.isfinite(reference):
+            raise ValueError(f"reference must be finite, got {reference}")
+        if reference is None and self.settings.mean == "reference":
+            raise ValueError("reference must be given with mean='reference'")
+        self.reference = None if reference is None else float(reference)
+        self._trained: dict[str, FloatArray] = {}
+        self._state: _State | None = None
+
+    # Observations.
+
+    def fit(
+        self,
+        X: ArrayLike,
+        y: ArrayLike,
+        stddev: ArrayLike | None = None,
+        *,
+        rng: np.random.Generator | None = None,
+        restarts: int | None = None,
+    ) -> GaussianProcess:
+        """Train on the observations and condition on them; O(n^3) for each step of the training.
+
+        The training starts from the last hyperparameters where there are some.
+
+        Args:
+            X: normalised inputs `(n, d)`, n >= 1.
+            y: outputs `(n,)`.
+            stddev: known standard deviations of the outputs `(n,)`; NaN where unknown.
+            rng: draws the random starts; a generator of fixed seed without it.
+            restarts: number of random starts in place of the settings'.
+
+        Returns:
+            The model itself.
+
+        Raises:
+            ValueError: an argument has the wrong shape or a value that is not finite.
+        """
+        d = None if self._state is None else self._state.posterior.kernel.d
+        inputs, outputs, noise = _checked_data(X, y, stddev, d)
+        kernel = make_kernel(self.settings.kernel, inputs.shape[1])
+        generator = np.random.default_rng(0) if rng is None else rng
+        starts = self.settings.restarts if restarts is None else restarts
+        states = []
+        with single_blas_thread():
+            for name, scaling in self._scalings(inputs, outputs):
+                parameters = train(
+                    self.settings,
+                    kernel,
+                    scaling.scale,
+                    inputs,
+                    scaling.standardise(inputs, outputs),
+                    self._known_noise(scaling, outputs, noise),
+                    self._trained.get(name),
+                    generator,
+                    starts,
+                )
+                self._trained[name] = parameters
+                model = _Model(name, scaling, parameters)
+                states.append(self._condition(kernel, model, inputs, outputs, noise))
+        scores = []
+        for state in states if len(states) > 1 else ():
+            self._state = state
+            scores.append(
+                self.leave_one_out().log_density.sum() - _CLEARLY_BETTER * state.model.scaling.log
+            )
+        self._state = states[int(np.argmax(scores))] if scores else states[0]
+        return self
+
+    def condition(
+        self, X: ArrayLike, y: ArrayLike, stddev: ArrayLike | None = None
+    ) -> GaussianProcess:
+        """Take these observations in place of all former ones, without training; O(n^3).
+
+        Hyperparameters and standardisation stay those of the last `fit`. Arguments and errors are
+        those of `fit`.
+        """
+        model, posterior, *_ = self._fitted
+        inputs, outputs, noise = _checked_data(X, y, stddev, posterior.kernel.d)
+        with single_blas_thread():
+            self._state = self._condition(posterior.kernel, model, inputs, outputs, noise)
+        return self
+
+    def add(self, x: ArrayLike, y: float, stddev: float | None = None) -> GaussianProcess:
+        """Add one observation without training; O(n^2).
+
+        Only where the logarithm is modelled and y is not positive, the model is fitted anew.
+
+        Args:
+            x: normalised input `(d,)`.
+            y: output.
+            stddev: known standard deviation of the output; None or NaN where unknown.
+
+        Returns:
+            The model itself.
+
+        Raises:
+            ValueError: an argument is not finite or has the wrong shape.
+        """
+        model, posterior, former, former_noise = self._fitted
+        known = None if stddev is None else [stddev]
+        inputs, outputs, noise = _checked_data([x], [y], known, posterior.kernel.d)
+        all_outputs, all_noise = np.append(former, outputs), np.append(former_noise, noise)
+        if model.scaling.log and not y > 0.0:
+            return self.fit(np.vstack([posterior.X, inputs]), all_outputs, all_noise, restarts=0)
+        with single_blas_thread():
+            z = model.scaling.standardise(inputs, outputs)
+            posterior.add(inputs, z, self._noise(model, outputs, noise))
+        self._state = _State(model, posterior, all_outputs, all_noise)
+        return self
+
+    # Predictions.
+
+    def predict(self, X: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Mean and standard deviation `(m,)` of the latent function at X `(m, d)`; O(m n^2).
+
+        In the output's units and without the noise of an observation.
+        """
+        model, posterior, *_ = self._fitted
+        inputs = as_inputs(X, posterior.kernel.d)
+        with single_blas_thread():
+            mean, stddev = posterior.predict(inputs)
+        return model.scaling.moments(*model.scaling.unstandardise(inputs, mean, stddev))
+
+    def predict_with_gradient(self, X: ArrayLike) -> Prediction:
+        """As `predict`, with the gradients in x; O(m n^2), about twice the time."""
+        (_, scaling, _), posterior, *_ = self._fitted
+        inputs = as_inputs(X, posterior.kernel.d)
+        with single_blas_thread():
+            mean, stddev, gradients = posterior.predict_with_gradient(inputs)
+        mean, stddev = scaling.unstandardise(inputs, mean, stddev)
+        mean_gradient = scaling.prior_mean_gradient(inputs) + scaling.scale * gradients.mean
+        return Prediction(
+            *scaling.moments(mean, stddev),
+            *scaling.moment_gradients(
+                mean, stddev, mean_gradient, scaling.scale * gradients.stddev
+            ),
+        )
+
+    def leave_one_out(self) -> LeaveOneOut:
+        """Every observation predicted from all others with the same hyperparameters; O(n^2)."""
+        (_, scaling, _), posterior, y, _ = self._fitted
+        excess, variance = posterior.leave_one_out()
+        latent = scaling.unstandardise(posterior.X, posterior.z - excess, np.sqrt(variance))
+        mean, stddev = scaling.moments(*latent)
+        log_density = -0.5 * (np.log(2.0 * np.pi * variance) + excess * excess / variance)
+        return LeaveOneOut(mean, stddev, y - mean, log_density + scaling.log_slope(y))
+
+    # What was learned.
+
+    @property
+    def n(self) -> int:
+        """Number of observations; 0 before the first `fit`."""
+        return 0 if self._state is None else len(self._state.y)
+
+    @property
+    def log_marginal_likelihood(self) -> float:
+        """Log density of the observations in the output's units, without hyperparameters' priors."""
+        (_, scaling, _), posterior, y, _ = self._fitted
+        return posterior.log_marginal_likelihood + float(scaling.log_slope(y).sum())
+
+    @property
+    def model(self) -> str:
+        """Prior mean in use: data, reference, constant or function; " log" after it with the log."""
+        return self._fitted.model.name
+
+    @property
+    def precision(self) -> FloatArray:
+        """Precision matrix Lambda `(d, d)`; length-scales are `1 / sqrt` of its diagonal."""
+        factor = self._fitted.posterior.factor
+        return np.asarray(factor @ factor.T)
+
+    @property
+    def variance(self) -> float:
+        """Signal variance s^2 in the output's units squared (its logarithm's, where modelled)."""
+        model, posterior, *_ = self._fitted
+        return posterior.variance * model.scaling.scale**2
+
+    @property
+    def noise(self) -> float:
+        """Learned standard deviation of one observation, in the units of `variance`' root."""
+        model = self._fitted.model
+        return float(np.exp(0.5 * model.parameters[-1])) * model.scaling.scale
+
+    # State.
+
+    def get_state(self) -> dict[str, Any]:
+        """Settings and hyperparameters as plain data for JSON, without the observations."""
+        state: dict[str, Any] = {
+            "settings": self.settings.to_dict(),
+            "reference": self.reference,
+            "trained": {name: parameters.tolist() for name, parameters in self._trained.items()},
+            "fitted": None,
+        }
+        if self._state is not None:
+            model, posterior, *_ = self._state
+            state["fitted"] = {
+                "d": posterior.kernel.d,
+                "model": model.name,
+                "parameters": model.parameters.tolist(),
+                "log": model.scaling.log,
+                "offset": model.scaling.offset,
+                "scale": model.scaling.scale,
+                "factorised": posterior.factorised,
+            }
+        return state
+
+    @classmethod
+    def from_state(
+        cls,
+        state: dict[str, Any],
+        X: ArrayLike = (),
+        y: ArrayLike = (),
+        stddev: ArrayLike | None = None,
+        *,
+        mean: MeanFunction | None = None,
+        mean_gradient: MeanFunction | None = None,
+    ) -> GaussianProcess:
+        """The model that `get_state` came from, bitwise, given its observations in their order.
+
+        Args:
+            state: from `get_state`, also after a passage through JSON.
+            X: normalised inputs `(n, d)` of all observations, those of `add` included.
+            y: outputs `(n,)`.
+            stddev: as in `fit`.
+            mean: the prior mean function again, where there was one.
+            mean_gradient: its gradient again, where there was one.
+
+        Raises:
+            ValueError: the observations do not suit the state, or a mean function is missing.
+        """
+        settings = GaussianProcessSettings.from_dict(state["settings"], mean, mean_gradient)
+        restored = cls(settings, state["reference"])
+        restored._trained = {name: np.array(values) for name, values in state["trained"].items()}
+        fitted = state["fitted"]
+        if fitted is None:
+            return restored
+        inputs, outputs, noise = _checked_data(X, y, stddev, fitted["d"])
+        m = fitted["factorised"]
+        if len(outputs) < m:
+            raise ValueError(
+                f"X must have at least the {m} observations of the state, got {len(outputs)}"
+            )
+        scaling = OutputScaling(
+            fitted["log"],
+            fitted["offset"],
+            fitted["scale"],
+            settings.mean_function,
+            settings.mean_gradient,
+        )
+        model = _Model(fitted["model"], scaling, np.array(fitted["parameters"]))
+        kernel = make_kernel(settings.kernel, fitted["d"])
+        with single_blas_thread():
+            restored._state = restored._condition(kernel, model, inputs[:m], outputs[:m], noise[:m])
+            for i in range(m, len(outputs)):
+                restored.add(inputs[i], outputs[i], noise[i])
+        return restored
+
+    # Inside.
+
+    @property
+    def _fitted(self) -> _State:
+        if self._state is None:
+            raise ValueError("the model has no observations yet: call fit first")
+        return self._state
+
+    def _condition(
+        self, kernel: Kernel, model: _Model, X: FloatArray, y: FloatArray, stddev: FloatArray
+    ) -> _State:
+        if model.scaling.log and not (y > 0.0).all():
+            raise ValueError(f"y must be positive where its logarithm is modelled, got {y.min()}")
+        variance = float(np.exp(model.parameters[-2]))
+        z = model.scaling.standardise(X, y)
+        noise = self._noise(model, y, stddev)
+        posterior = Posterior(kernel, model.parameters[:-2], variance, X, z, noise)
+        return _State(model, posterior, y, stddev)
+
+    def _noise(self, model: _Model, y: FloatArray, stddev: FloatArray) -> FloatArray:
+        """Variances `(n,)` of the standardised observations, learned and known parts together."""
+        return np.exp(model.parameters[-1]) + self._known_noise(model.scaling, y, stddev)
+
+    def _known_noise(self, scaling: OutputScaling, y: FloatArray, stddev: FloatArray) -> FloatArray:
+        fixed = 0.0 if isinstance(self.settings.noise, str) else self.settings.noise
+        return scaling.noise_variances(y, np.hypot(stddev, fixed))
+
+    def _scalings(self, X: FloatArray, y: FloatArray) -> list[tuple[str, OutputScaling]]:
+        """The ways to model these outputs that the settings allow, by name; at least one."""
+        settings, reference = self.settings, self.reference
+        if callable(settings.mean):
+            return [
+                (
+                    "function",
+                    OutputScaling.of(
+                        X, y, mean=settings.mean, mean_gradient=settings.mean_gradient
+                    ),
+                )
+            ]
+        offsets: dict[str, float | None]
+        if settings.mean == "auto":
+            offsets = (
+                {"data": None} if reference is None else {"data": None, "reference": reference}
+            )
+        elif isinstance(settings.mean, str):
+            offsets = {settings.mean: None if settings.mean == "data" else reference}
+        else:
+            offsets = {"constant": float(settings.mean)}
+        plain = [(name, OutputScaling.of(X, y, offset=offset)) for name, offset in offsets.items()]
+        if settings.transform == "none" or not (y > 0.0).all():
+            return plain
+        logs = [
+            (
+                f"{name} log",
+                OutputScaling.of(X, y, offset=None if offset is None else np.log(offset), log=True),
+            )
+            for name, offset in offsets.items()
+            if offset is None or offset > 0.0
+        ]
+        return logs if logs and settings.transform == "log" else plain + logs
+
+
+def _checked_data(
+    X: ArrayLike, y: ArrayLike, stddev: ArrayLike | None, d: int | None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Copies of the observations, `(n, d)`, `(n,)` and `(n,)`, the last with 0 where unknown."""
+    inputs = as_inputs(X, d).copy()
+    outputs = np.array(y, dtype=np.float64)
+    if outputs.ndim != 1 or len(outputs) != len(inputs) or len(outputs) == 0:
+        raise ValueError(
+            f"y must have one value for each of {len(inputs)} rows of X, got shape {outputs.shape}"
+        )
+    if not (np.abs(outputs) <= _LARGEST_OUTPUT).all():
+        raise ValueError(
+            f"y must be finite and at most {_LARGEST_OUTPUT:g} in magnitude, got {outputs}"
+        )
+    noise = np.zeros_like(outputs) if stddev is None else np.array(stddev, dtype=np.float64)
+    if noise.shape != outputs.shape:
+        raise ValueError(f"stddev must have the shape {outputs.shape} of y, got {noise.shape}")
+    noise[np.isnan(noise)] = 0.0
+    if not ((noise >= 0.0) & (noise <= _LARGEST_OUTPUT)).all():
+        raise ValueError(f"stddev must be at least 0 and finite, or NaN where unknown, got {noise}")
+    return inputs, outputs, noise

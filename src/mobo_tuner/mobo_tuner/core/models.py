@@ -1,0 +1,102 @@
+"""The Gaussian processes of a run: one for each objective and each constrained diagnostic."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from mobo_tuner.core.dataset import Dataset
+from mobo_tuner.core.gaussian_process import GaussianProcess
+from mobo_tuner.core.presets import OptimizerSettings
+from mobo_tuner.core.problem import Problem
+
+
+class Models:
+    """Independent Gaussian processes over the valid evaluations, [Roussel2021]_ section subsec:MOBO.
+
+    Objectives are modelled as they are minimised. A constraint on an objective shares its model.
+
+    Args:
+        problem: whose quantities are modelled.
+        settings: how.
+        seed: of the random starts of training.
+    """
+
+    def __init__(self, problem: Problem, settings: OptimizerSettings, seed: int) -> None:
+        self._problem = problem
+        self._refit_every = settings.refit_every
+        self._seed = seed
+        process = settings.gaussian_process
+        # A constrained diagnostic has no reference point; its mean is that of the data.
+        constrained = replace(process, mean="data") if process.mean == "reference" else process
+        self._signs = {o.name: o.sign for o in problem.objectives}
+        self._processes = {
+            o.name: GaussianProcess(process, reference=o.sign * o.reference) for o in problem.objectives
+        } | {
+            c.name: GaussianProcess(constrained)
+            for c in problem.constraints
+            if c.name not in self._signs
+        }
+        self._trained = 0  # number of valid evaluations at the last training
+        self._held = 0  # number of valid evaluations that the models hold
+
+    @property
+    def ready(self) -> bool:
+        """Whether there was any valid evaluation to learn from."""
+        return self._held > 0
+
+    @property
+    def objectives(self) -> list[GaussianProcess]:
+        """Models of the minimised objectives, in the problem's order."""
+        return [self._processes[name] for name in self._problem.objective_names]
+
+    @property
+    def constraints(self) -> list[tuple[GaussianProcess, float, float]]:
+        """For each constraint its model, and the lower and upper limit of what it models."""
+        limits = []
+        for constraint in self._problem.constraints:
+            ends = (constraint.minimum, constraint.maximum)
+            if self._signs.get(constraint.name, 1.0) < 0.0:
+                ends = (-ends[1], -ends[0])
+            limits.append((self._processes[constraint.name], *ends))
+        return limits
+
+    def update(self, data: Dataset) -> None:
+        """Learn the valid evaluations that are new, training when it is time to.
+
+        What it does depends on `data` and on when it was called before, on nothing else.
+        """
+        rows = np.flatnonzero(data.valid)
+        count = len(rows)
+        if count == self._held:
+            return
+        train = self._trained == 0 or count - self._trained >= self._refit_every
+        inputs = data.inputs
+        for position, (name, process) in enumerate(self._processes.items()):
+            y = data.column(name) * self._signs.get(name, 1.0)
+            stddev = data.stddev_column(name)
+            if train:
+                rng = np.random.default_rng([self._seed, 1, count, position])
+                process.fit(inputs[rows], y[rows], stddev[rows], rng=rng)
+            else:
+                for row in rows[self._held :]:
+                    process.add(inputs[row], float(y[row]), float(stddev[row]))
+        self._held = count
+        if train:
+            self._trained = count
+
+    def get_state(self) -> dict[str, Any]:
+        """What `from_state` needs, as plain data."""
+        return {
+            "trained": self._trained,
+            "held": self._held,
+            "processes": {name: p.get_state() for name, p in self._processes.items()} if self._held else {},
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Continue where `get_state` was called; the same data must follow."""
+        self._trained, self._held = state["trained"], state["held"]
+        for name, process_state in state["processes"].items():
+            self._processes[name] = GaussianProcess.from_state(process_state)

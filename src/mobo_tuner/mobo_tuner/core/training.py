@@ -1,0 +1,261 @@
+"""Training of hyperparameters: the marginal likelihood with its gradient, and two ways to climb it.
+
+.. [Kingma2015] D. P. Kingma, J. Ba, "Adam: a method for stochastic optimization", ICLR 2015.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack
+from scipy.optimize import minimize
+
+from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
+from mobo_tuner.core.kernels import Kernel, RBFFull, squared_distances
+from mobo_tuner.core.linear_algebra import FloatArray, cholesky, inverse_lower
+from mobo_tuner.core.posterior import RELATIVE_JITTER
+
+_NOISE_PRIOR = (float(np.log(1e-4)), 2.0)
+_VARIANCE_PRIOR_STDDEV = float(np.sqrt(2.0))
+_RESTART_SPREAD = 0.7
+
+Objective = Callable[[FloatArray], tuple[float, FloatArray]]
+
+
+class NegativeLogPosterior:
+    """Minus the log marginal likelihood and priors of the hyperparameters, divided by n.
+
+        -log p(z) = z^T K^-1 z / 2 + log det K / 2 + n log(2 pi) / 2,
+        K_ij = s^2 (g(r_ij^2) + 1e-10 delta_ij) + (noise + extra_i) delta_ij
+
+    `[Rasmussen2006]_` Eq. (5.8), its gradient Eq. (5.9).
+
+    Hyperparameters `(k + 2,)`: the kernel's k shape parameters, `log s^2`, `log noise` (variances).
+
+    Args:
+        kernel: covariance function of d inputs.
+        X: normalised inputs `(n, d)`.
+        z: standardised outputs less the prior mean `(n,)`.
+        extra: known noise variances `(n,)`, in the units of z squared.
+        weak_prior: add the kernel's prior, a log-normal one of the noise around 1e-4, and one of
+            the signal variance around the mean square of z.
+    """
+
+    def __init__(
+        self, kernel: Kernel, X: FloatArray, z: FloatArray, extra: FloatArray, weak_prior: bool
+    ) -> None:
+        self.kernel, self.X, self.z, self.extra, self.weak_prior = kernel, X, z, extra, weak_prior
+        self.log_mean_square = float(np.log(max(float(np.mean(z * z)), 1e-6)))
+        shape = kernel.prior()
+        self._prior_mean = np.append(shape.mean, [self.log_mean_square, _NOISE_PRIOR[0]])
+        self._prior_stddev = np.append(shape.stddev, [_VARIANCE_PRIOR_STDDEV, _NOISE_PRIOR[1]])
+
+    def __call__(self, parameters: FloatArray) -> tuple[float, FloatArray]:
+        """Value and gradient `(k + 2,)`; O(n^3 + n^2 d)."""
+        n = len(self.z)
+        shape, variance, noise = parameters[:-2], np.exp(parameters[-2]), np.exp(parameters[-1])
+        scaled = self.X @ self.kernel.factor(shape)
+        profile, slope = self.kernel.profile(squared_distances(scaled, scaled))
+        covariance = variance * profile
+        diagonal = noise + self.extra
+        covariance.flat[:: n + 1] = variance * (1.0 + RELATIVE_JITTER) + diagonal
+        lower, jitter = cholesky(covariance)
+        diagonal = diagonal + jitter
+
+        inverse = inverse_lower(lower)
+        inverse_diagonal = np.diagonal(inverse).copy()
+        weights, _ = lapack.dpotrs(lower, self.z, lower=1)
+        fit = float(self.z @ weights)
+        value = 0.5 * fit + float(np.log(np.diagonal(lower)).sum()) + 0.5 * n * np.log(2.0 * np.pi)
+
+        gradient = np.empty_like(parameters)
+        # Half of K^-1 - a a^T, its first part folded into one triangle.
+        contraction = inverse.T
+        contraction -= 0.5 * np.multiply.outer(weights, weights)
+        contraction *= slope
+        contraction *= variance
+        contraction.flat[:: n + 1] = 0.0
+        gradient[:-2] = self.kernel.gradient(shape, self.X, contraction)
+        # s^2 dK/ds^2 = K - diagonal spares the traces a matrix product.
+        gradient[-2] = 0.5 * (
+            n - inverse_diagonal @ diagonal - fit + (weights * weights) @ diagonal
+        )
+        gradient[-1] = 0.5 * noise * float((inverse_diagonal - weights * weights).sum())
+        if self.weak_prior:
+            deviation = (parameters - self._prior_mean) / self._prior_stddev
+            value += 0.5 * float(deviation @ deviation)
+            gradient += deviation / self._prior_stddev
+        return value / n, gradient / n
+
+    def bounds(self, minimum_noise: float) -> FloatArray:
+        """Lowest and highest allowed hyperparameters, `(k + 2, 2)`."""
+        others = [
+            self.log_mean_square + np.log([1e-3, 1e4]),
+            np.log([minimum_noise, max(1.0, 2.0 * minimum_noise)]),
+        ]
+        return np.vstack([self.kernel.bounds(), others])
+
+    def default_parameters(self) -> FloatArray:
+        """Where a first training starts, `(k + 2,)`."""
+        return np.append(self.kernel.default_parameters(), [self.log_mean_square, _NOISE_PRIOR[0]])
+
+
+def train_lbfgs(
+    objective: Objective,
+    starts: FloatArray,
+    bounds: FloatArray,
+    free: NDArray[np.bool_],
+    iterations: int = 100,
+) -> tuple[FloatArray, float]:
+    """Best hyperparameters and their value by L-BFGS-B from every start.
+
+    Args:
+        objective: value and gradient `(k,)` at a vector `(k,)`.
+        starts: `(r, k)`, r >= 1; the first is kept where nothing is better.
+        bounds: `(k, 2)`.
+        free: which of the k may move `(k,)`; the others stay as in the first start.
+        iterations: most iterations from each start.
+    """
+    best = np.array(starts[0])
+    best_value = objective(best)[0]
+    if not free.any():
+        return best, best_value
+
+    def restricted(moving: FloatArray) -> tuple[float, FloatArray]:
+        parameters = best.copy()
+        parameters[free] = moving
+        value, gradient = objective(parameters)
+        return value, gradient[free]
+
+    limits = bounds[free]
+    for start in starts:
+        result = minimize(
+            restricted,
+            np.clip(start[free], limits[:, 0], limits[:, 1]),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=limits,
+            options={"maxiter": iterations, "ftol": 1e-8, "gtol": 1e-5},
+        )
+        if result.fun < best_value:
+            best[free] = result.x
+            best_value = float(result.fun)
+    return best, best_value
+
+
+def train_adam(
+    objective: Objective,
+    start: FloatArray,
+    bounds: FloatArray,
+    free: NDArray[np.bool_],
+    rate: float,
+    steps: int,
+) -> tuple[FloatArray, float]:
+    """Hyperparameters and their value after a number of Adam steps, `[Kingma2015]_` Algorithm 1.
+
+    The arguments are those of `train_lbfgs`, but for one start `(k,)`, the learning rate and the
+    number of steps. A step that leaves the bounds ends on them.
+    """
+    parameters = np.clip(start, bounds[:, 0], bounds[:, 1])
+    parameters[~free] = start[~free]
+    mean, square = np.zeros_like(start), np.zeros_like(start)
+    for step in range(1, steps + 1):
+        gradient = np.where(free, objective(parameters)[1], 0.0)
+        mean += 0.1 * (gradient - mean)
+        square += 0.001 * (gradient * gradient - square)
+        change = (mean / (1.0 - 0.9**step)) / (np.sqrt(square / (1.0 - 0.999**step)) + 1e-8)
+        moved = np.clip(parameters - rate * change, bounds[:, 0], bounds[:, 1])
+        parameters = np.where(free, moved, parameters)
+    return parameters, objective(parameters)[0]
+
+
+def held_parameters(
+    settings: GaussianProcessSettings, kernel: Kernel, scale: float
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Hyperparameters that the settings hold, and which ones are free, `(k + 2,)` each.
+
+    Args:
+        settings: with the held values in normalised inputs and the output's units.
+        kernel: covariance function of d inputs.
+        scale: the output's units in one standardised unit.
+
+    Raises:
+        ValueError: the held length-scales or precision matrix are not of d inputs.
+    """
+    held = np.zeros(kernel.size + 2)
+    free = np.ones(kernel.size + 2, dtype=np.bool_)
+    if settings.precision is not None or settings.length_scales is not None:
+        free[:-2] = False
+        held[:-2] = _held_shape(settings, kernel)
+    if settings.variance is not None:
+        free[-2] = False
+        held[-2] = np.clip(np.log(settings.variance) - 2.0 * np.log(scale), -200.0, 200.0)
+    if settings.noise != "learned":
+        free[-1] = False
+        held[-1] = np.log(settings.minimum_noise)
+    return held, free
+
+
+def _held_shape(settings: GaussianProcessSettings, kernel: Kernel) -> FloatArray:
+    d = kernel.d
+    if settings.precision is not None:
+        matrix = np.array(settings.precision)
+        if len(matrix) != d:
+            raise ValueError(
+                f"precision must be a {d} by {d} matrix for {d} inputs, got {len(matrix)} rows"
+            )
+    else:
+        scales = np.ravel(np.asarray(settings.length_scales, dtype=np.float64))
+        if len(scales) not in (1, d):
+            raise ValueError(
+                f"length_scales must be one number or {d} for {d} inputs, got {len(scales)}"
+            )
+        if not isinstance(kernel, RBFFull):
+            return np.broadcast_to(np.log(scales), (kernel.size,))
+        matrix = np.eye(d) / scales**2
+    assert isinstance(kernel, RBFFull)
+    return kernel.parameters_of(matrix)
+
+
+def train(
+    settings: GaussianProcessSettings,
+    kernel: Kernel,
+    scale: float,
+    X: FloatArray,
+    z: FloatArray,
+    extra: FloatArray,
+    former: FloatArray | None,
+    rng: np.random.Generator,
+    restarts: int,
+) -> FloatArray:
+    """Hyperparameters `(k + 2,)` for standardised observations, as the settings say.
+
+    Without a second observation, or where z is all zero, there is nothing to learn from: the start
+    is returned.
+
+    Args:
+        settings: held values, bounds, kind of training.
+        kernel: covariance function of d inputs.
+        scale: the output's units in one unit of z.
+        X: normalised inputs `(n, d)`.
+        z: standardised outputs less the prior mean `(n,)`.
+        extra: known variances of z `(n,)`.
+        former: where to start, from the last training.
+        rng: draws the other starts.
+        restarts: how many of them.
+    """
+    objective = NegativeLogPosterior(kernel, X, z, extra, settings.prior == "weak")
+    held, free = held_parameters(settings, kernel, scale)
+    bounds = objective.bounds(settings.minimum_noise)
+    default = objective.default_parameters()
+    start = default if former is None else former
+    start = np.where(free, np.clip(start, bounds[:, 0], bounds[:, 1]), held)
+    if len(z) < 2 or not z.any():
+        return start
+    if settings.training == "adam":
+        steps = settings.adam_steps if former is None else settings.adam_retraining_steps
+        return train_adam(objective, start, bounds, free, settings.adam_rate, steps)[0]
+    drawn = default + _RESTART_SPREAD * rng.standard_normal((restarts, len(start)))
+    return train_lbfgs(objective, np.vstack([start, np.where(free, drawn, held)]), bounds, free)[0]

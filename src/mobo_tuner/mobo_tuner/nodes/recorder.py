@@ -1,0 +1,289 @@
+"""The recorder: every topic of the run's ROS domain goes into a rosbag2 folder.
+
+Hidden topics (those of actions and service events) are left out, as `ros2 bag record --all` does:
+what a run does is in the topics of its nodes, one `Evaluation` per evaluation.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import time
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+from mobo_msgs_py.msg import RecorderStatus
+from rclpy.duration import Duration
+from rclpy.executors import Executor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import WriterError
+
+from mobo_tuner.bag import BagWriter
+from mobo_tuner.ros.definitions import Definition, DefinitionError, find_definition
+from mobo_tuner.ros.parameters import RECORDER, declare
+from mobo_tuner.ros.process import StartError, exit_process, run_node
+from mobo_tuner.ros.qos import LATCHED
+
+QUEUE_DEPTH = 1000  # messages of a topic that may wait to be recorded
+FLUSH_PERIOD = 0.25  # [s] what is lost at most when the process is killed
+STATUS_PERIOD = 1.0  # [s]
+QUIET_TIME = 0.2  # [s] without a message after which the queues count as empty
+DRAIN_TIMEOUT = 1.0  # [s]
+DRAIN_POLL_PERIOD = 0.05  # [s]
+FAREWELL_TIMEOUT = 0.3  # [s] for the last status to arrive
+
+
+class Recorder:
+    """Records all topics from their discovery until it is stopped.
+
+    Should writing fail, it says so in its status and lives on, recording no more.
+    """
+
+    exit_code = None
+
+    def __init__(self, executor: Executor) -> None:
+        self._executor = executor
+        self._node = Node("recorder")
+        parameters = declare(self._node, RECORDER)
+        self._bag = _open_bag(str(parameters["bag_path"]))
+        self._recording = True
+        self._failure = ""
+        self._last_timestamp = 0
+        self._topics: set[str] = set()
+        self._refused: set[str] = set()
+        self._publisher = self._node.create_publisher(RecorderStatus, "recorder_status", LATCHED)
+        self._node.create_timer(float(parameters["discovery_period"]), self._discover)
+        self._node.create_timer(FLUSH_PERIOD, self._flush)
+        self._node.create_timer(STATUS_PERIOD, self._publish_status)
+        self._node.get_logger().info(f"recording into {self._bag.path}")
+        self._discover()
+        self._publish_status()
+
+    @property
+    def node(self) -> Node:
+        """The rclpy node."""
+        return self._node
+
+    async def stop(self) -> None:
+        """Record what was published until now, then close the bag."""
+        self._discover()
+        await self._drained()
+        self._close_bag()
+        self._publish_status()
+        self._publisher.wait_for_all_acked(Duration(seconds=FAREWELL_TIMEOUT))
+
+    def close(self) -> None:
+        """Close the bag, if that has not happened, and release the node."""
+        self._close_bag()
+        self._node.destroy_node()
+
+    def _discover(self) -> None:
+        """Subscribe to topics that have a publisher by now."""
+        if not self._recording:
+            return
+        before = len(self._topics)
+        for topic, type_names in self._node.get_topic_names_and_types():
+            if any(part.startswith("_") for part in topic.split("/")):
+                continue
+            if topic in self._topics or topic in self._refused:
+                continue
+            publishers = self._node.get_publishers_info_by_topic(topic)
+            if publishers and len(type_names) == 1:
+                self._record(topic, type_names[0], publishers)
+            elif publishers:
+                self._refuse(topic, f"it has several types: {', '.join(type_names)}")
+        if len(self._topics) != before:
+            self._publish_status()
+
+    def _record(self, topic: str, type_name: str, publishers: Sequence[TopicEndpointInfo]) -> None:
+        try:
+            definition = find_definition(type_name)
+            _check_hashes(definition, publishers)
+            message_class = _message_class(type_name)
+        except DefinitionError as error:
+            self._refuse(topic, str(error))
+            return
+        offered = []
+        for publisher in publishers:
+            profile = _offered_qos(publisher.qos_profile)
+            if profile not in offered:
+                offered.append(profile)
+        connection = self._bag.add_connection(
+            topic,
+            type_name,
+            msgdef=definition.text,
+            rihs01=definition.type_hash,
+            offered_qos_profiles=offered,
+        )
+        self._node.create_subscription(
+            message_class,
+            topic,
+            partial(self._write, connection),
+            _matching_qos(publishers),
+            raw=True,
+        )
+        self._topics.add(topic)
+
+    def _refuse(self, topic: str, reason: str) -> None:
+        self._refused.add(topic)
+        self._node.get_logger().warning(f"the topic {topic} is not recorded: {reason}")
+
+    def _write(self, connection: Connection, data: bytes, info: dict[str, int]) -> None:
+        if not self._recording:
+            return
+        # In the order of their timestamps, as the bag needs them: topics arrive interleaved.
+        self._last_timestamp = max(self._last_timestamp, info["received_timestamp"])
+        try:
+            self._bag.write(connection, self._last_timestamp, data)
+        except OSError as error:
+            self._fail(error)
+
+    def _flush(self) -> None:
+        if not self._recording:
+            return
+        try:
+            self._bag.flush()
+        except OSError as error:
+            self._fail(error)
+
+    def _fail(self, error: OSError) -> None:
+        self._recording = False
+        self._failure = f"the bag cannot be written: {error.strerror or error}"
+        self._node.get_logger().error(
+            f"{self._failure}; recording stops after {self._bag.message_count} messages"
+        )
+        with contextlib.suppress(OSError):
+            self._bag.abort()
+        self._publish_status()
+
+    def _close_bag(self) -> None:
+        if not self._recording:
+            return
+        try:
+            self._bag.close()
+        except OSError as error:
+            self._fail(error)
+            return
+        self._recording = False
+        self._failure = "the recorder was stopped"
+        self._node.get_logger().info(
+            f"recorded {self._bag.message_count} messages of {len(self._topics)} topics"
+        )
+
+    def _publish_status(self) -> None:
+        self._publisher.publish(
+            RecorderStatus(
+                stamp=self._node.get_clock().now().to_msg(),
+                recording=self._recording,
+                path=str(self._bag.path),
+                topics=sorted(self._topics) if self._recording else [],
+                messages=self._bag.message_count,
+                message=self._failure,
+            )
+        )
+
+    def _drained(self) -> Future[None]:
+        """A future that is done once no message came for a moment, or time is up."""
+        done: Future[None] = Future(executor=self._executor)
+        started = latest = time.monotonic()
+        count = self._bag.message_count
+
+        def check() -> None:
+            nonlocal latest, count
+            now = time.monotonic()
+            if self._bag.message_count != count:
+                count, latest = self._bag.message_count, now
+            if now - latest >= QUIET_TIME or now - started >= DRAIN_TIMEOUT:
+                timer.cancel()
+                done.set_result(None)
+
+        timer = self._node.create_timer(DRAIN_POLL_PERIOD, check)
+        return done
+
+
+def _open_bag(path: str) -> BagWriter:
+    """Raises StartError where the bag cannot be made."""
+    if not path:
+        raise StartError("the parameter bag_path is empty; it must name the bag's folder")
+    try:
+        bag = BagWriter(path)
+        bag.open()
+    except WriterError:
+        raise StartError(f"the bag '{path}' exists already") from None
+    except OSError as error:
+        raise StartError(f"the bag '{path}' cannot be written: {error.strerror}") from None
+    return bag
+
+
+def _message_class(type_name: str) -> type[Any]:
+    package, _, name = type_name.split("/")
+    try:
+        message_class: type[Any] = getattr(importlib.import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError):
+        raise DefinitionError(f"the Python type of {type_name} is not installed") from None
+    return message_class
+
+
+def _check_hashes(definition: Definition, publishers: Sequence[TopicEndpointInfo]) -> None:
+    """A definition that is not the publisher's would make the bag lie."""
+    for publisher in publishers:
+        type_hash = publisher.topic_type_hash
+        if type_hash.version > 0 and str(type_hash) != definition.type_hash:
+            raise DefinitionError(
+                f"{publisher.node_name} publishes another version of {publisher.topic_type} than "
+                "is installed here"
+            )
+
+
+def _matching_qos(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
+    """The strictest profile that every publisher's offer satisfies."""
+    offers = [publisher.qos_profile for publisher in publishers]
+    reliable = all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
+    latched = all(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=QUEUE_DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def _offered_qos(profile: QoSProfile) -> Qos:
+    """A publisher's profile as a bag stores it; discovery tells neither history nor depth."""
+    return Qos(
+        history=QosHistory[profile.history.name],
+        depth=profile.depth,
+        reliability=QosReliability[profile.reliability.name],
+        durability=QosDurability[profile.durability.name],
+        deadline=_qos_time(profile.deadline),
+        lifespan=_qos_time(profile.lifespan),
+        liveliness=QosLiveliness[profile.liveliness.name],
+        liveliness_lease_duration=_qos_time(profile.liveliness_lease_duration),
+        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
+    )
+
+
+def _qos_time(duration: Duration) -> QosTime:
+    return QosTime(*divmod(duration.nanoseconds, 1_000_000_000))
+
+
+def main() -> None:
+    """Run the node until a signal stops it."""
+    exit_process(run_node(Recorder))
+
+
+if __name__ == "__main__":
+    main()

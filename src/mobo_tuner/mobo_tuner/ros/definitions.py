@@ -1,0 +1,79 @@
+"""Message definitions and type hashes, as the installed interface packages hold them.
+
+A bag carries them, so that its messages can be decoded where the packages are not installed. The
+text is that of the `.msg` files, comments and units included.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+
+class DefinitionError(LookupError):
+    """A type whose definition is not installed; the message is one sentence for the user."""
+
+
+@dataclass(frozen=True)
+class Definition:
+    """What a bag stores of a message type.
+
+    `text` is its `.msg` file followed by those of all types that it uses, divided as rosbag2 does;
+    `type_hash` is its hash after REP 2011, ``RIHS01_...``.
+    """
+
+    text: str
+    type_hash: str
+
+
+def find_definition(type_name: str, prefixes: Sequence[Path] | None = None) -> Definition:
+    """The definition of a message type such as ``std_msgs/msg/String``.
+
+    Args:
+        type_name: of a message; types made for a service or an action have no definition here.
+        prefixes: installation prefixes, first come first served; where None, those of
+            AMENT_PREFIX_PATH and that of this Python.
+
+    Raises:
+        DefinitionError: the type or one that it uses is not installed there, or is damaged.
+    """
+    prefixes = default_prefixes() if prefixes is None else prefixes
+    try:
+        description = json.loads(_read(type_name, ".json", prefixes))
+        hashes = {item["type_name"]: item["hash_string"] for item in description["type_hashes"]}
+        type_hash = hashes[type_name]
+        used = [
+            item["type_name"]
+            for item in description["type_description_msg"]["referenced_type_descriptions"]
+        ]
+    except (KeyError, TypeError, ValueError) as error:
+        raise DefinitionError(
+            f"the installed description of {type_name} is damaged: {error!r}"
+        ) from None
+    parts = [_read(type_name, ".msg", prefixes)]
+    for name in used:
+        package, _, short_name = name.split("/")
+        parts.append(f"{'=' * 80}\nMSG: {package}/{short_name}\n{_read(name, '.msg', prefixes)}")
+    return Definition("\n".join(parts), type_hash)
+
+
+def default_prefixes() -> list[Path]:
+    """Where interface packages are installed: AMENT_PREFIX_PATH, then this Python's prefix."""
+    listed = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    return [Path(prefix) for prefix in [*listed, sys.prefix] if prefix]
+
+
+def _read(type_name: str, suffix: str, prefixes: Sequence[Path]) -> str:
+    parts = type_name.split("/")
+    if len(parts) == 3 and parts[1] == "msg":
+        for prefix in prefixes:
+            path = prefix / "share" / parts[0] / "msg" / f"{parts[2]}{suffix}"
+            try:
+                return path.read_text(encoding="utf-8")
+            except OSError:
+                continue
+    raise DefinitionError(f"the definition of {type_name} is not installed")

@@ -1,0 +1,95 @@
+"""Fixtures of tests with real ROS: a domain of one's own, and nodes in it."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from ros_support import TIMEOUT, NodeStarter
+
+# Domain 0 is everybody's; above 101 the ports of a domain collide with Linux's ephemeral ones.
+DOMAINS = range(1, 102)
+
+
+@pytest.fixture
+def ros_domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """A ROS domain id that no other test and no run on this machine uses, set for this process."""
+    first = os.getpid() % len(DOMAINS)
+    for domain in [*DOMAINS[first:], *DOMAINS[:first]]:
+        lock = (Path(tempfile.gettempdir()) / f"mobo-ros-domain-{domain}.lock").open("a")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+            continue
+        break
+    else:
+        pytest.fail("no free ROS domain")
+    with lock:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+        monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros_log"))
+        monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+        yield domain
+
+
+@pytest.fixture
+def context(ros_domain: int) -> Iterator[Context]:
+    """An rclpy context in the test's domain."""
+    context = Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    yield context
+    context.try_shutdown()
+
+
+@pytest.fixture
+def executor(context: Context) -> Iterator[SingleThreadedExecutor]:
+    """An executor of the test's context; the test spins it."""
+    executor = SingleThreadedExecutor(context=context)
+    yield executor
+    executor.shutdown(timeout_sec=1.0)
+
+
+@pytest.fixture
+def node(context: Context, executor: SingleThreadedExecutor) -> Iterator[Node]:
+    """A node of the test process, on the executor."""
+    node = Node("test_node", context=context)
+    executor.add_node(node)
+    yield node
+    executor.remove_node(node)
+    node.destroy_node()
+
+
+@pytest.fixture
+def spin_until(
+    executor: SingleThreadedExecutor,
+) -> Callable[..., None]:
+    """Spin the executor until a condition holds: ``spin_until(condition, what, timeout)``."""
+
+    def spin(condition: Callable[[], object], what: str, timeout: float = TIMEOUT) -> None:
+        deadline = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() > deadline:
+                pytest.fail(f"waited {timeout:g} s in vain for {what}")
+            executor.spin_once(timeout_sec=0.05)
+
+    return spin
+
+
+@pytest.fixture
+def start_node(ros_domain: int, tmp_path: Path) -> Iterator[NodeStarter]:
+    """Start ``python ARGUMENTS...`` in the test's domain; whatever still runs is killed after it."""
+    del ros_domain  # has set the environment
+    starter = NodeStarter(tmp_path)
+    yield starter
+    for process in starter.processes:
+        process.kill()

@@ -1,0 +1,113 @@
+"""A ROS domain of one's own, so that runs side by side do not hear each other.
+
+Domains 1 to 101 are used: DDS derives its UDP ports from the domain, and those of higher domains
+reach into the range that the kernel hands out. A domain is taken by a lock on a file in the
+temporary folder, which the kernel releases when its holder ends, however it ends. Nodes that were
+started by other means hold no lock, but their ports, which are looked at too.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import random
+import socket
+import tempfile
+from types import TracebackType
+
+FIRST, LAST = 1, 101
+_PARTICIPANTS = 10  # of other programs that are looked for in a domain
+
+
+class DomainError(Exception):
+    """No domain can be had; the message is one sentence for the user."""
+
+
+class RosDomain:
+    """A domain that is this process's own until it is closed.
+
+    Attributes:
+        id: of the domain.
+    """
+
+    def __init__(self, domain_id: int | None = None) -> None:
+        """Take the domain asked for, or any that is free.
+
+        A domain that was asked for may hold nodes of other programs: to meet them can be the reason
+        to ask for it.
+
+        Raises:
+            DomainError: it is taken by another run, or all are.
+        """
+        if domain_id is not None:
+            descriptor = _lock(domain_id)
+            if descriptor is None:
+                raise DomainError(f"ROS domain {domain_id} is taken by another run")
+            self.id, self._descriptor = domain_id, descriptor
+            return
+        for candidate in random.sample(range(FIRST, LAST + 1), LAST - FIRST + 1):
+            descriptor = _lock(candidate)
+            if descriptor is None:
+                continue
+            if _is_silent(candidate):
+                self.id, self._descriptor = candidate, descriptor
+                return
+            os.close(descriptor)
+        raise DomainError(f"no ROS domain from {FIRST} to {LAST} is free")
+
+    def __enter__(self) -> RosDomain:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let others have the domain."""
+        os.close(self._descriptor)
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """The environment variables of everything that shall live in this domain."""
+        return {
+            "ROS_DOMAIN_ID": str(self.id),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            # Shared memory of a killed process stays behind and can stall those that come after.
+            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+        }
+
+
+def _lock(domain_id: int) -> int | None:
+    """A descriptor that holds the domain's lock; None if someone else does."""
+    path = os.path.join(tempfile.gettempdir(), f"mobo-ros-domain-{domain_id}.lock")
+    try:
+        # Another user's file can be locked, but not opened for writing.
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except FileNotFoundError:
+        try:
+            descriptor = os.open(path, os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError:
+            return None
+    except OSError:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        return None
+    return descriptor
+
+
+def _is_silent(domain_id: int) -> bool:
+    """Whether the ports at which a domain's first participants listen are all free."""
+    for participant in range(_PARTICIPANTS):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", 7400 + 250 * domain_id + 10 + 2 * participant))
+            except OSError:
+                return False
+    return True

@@ -1,0 +1,243 @@
+"""A run's folder as the entry script sees it: made, described in `run.json`, listed and shown."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
+RUN_ID_RULE = "letters, digits, '_', '.' and '-', a letter or digit first, 100 characters at most"
+
+RUN_FILE = "run.json"
+SUMMARY_FILE = "summary.json"
+JOURNAL_FILE = "journal.jsonl"
+
+
+class RunFolderError(Exception):
+    """A run's folder cannot be made or read; the message is one sentence for the user."""
+
+
+class RunFolder:
+    """The folder of one run.
+
+    Attributes:
+        path: of the folder, absolute.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path.resolve()
+
+    @classmethod
+    def create(cls, runs_dir: Path, run_id: str | None, label: str) -> RunFolder:
+        """Make the folder of a new run.
+
+        Args:
+            runs_dir: where runs are kept; made if it is missing.
+            run_id: name of the run; None for one made of the time and the label.
+            label: what a name that is made up ends with.
+
+        Raises:
+            RunFolderError: there is such a run already, or the folder cannot be made.
+        """
+        names = [run_id] if run_id else _new_names(label)
+        try:
+            runs_dir.mkdir(parents=True, exist_ok=True)
+            for name in names:
+                try:
+                    (runs_dir / name).mkdir()
+                except FileExistsError:
+                    continue
+                folder = cls(runs_dir / name)
+                (folder.path / "log").mkdir()
+                return folder
+        except OSError as error:
+            raise RunFolderError(
+                f"the run folder cannot be made in '{runs_dir}': {error.strerror}"
+            ) from None
+        raise RunFolderError(
+            f"the run '{names[0]}' exists already in '{runs_dir}', and no run is ever overwritten"
+        )
+
+    @classmethod
+    def find(cls, run: str, runs_dir: Path) -> RunFolder:
+        """The folder of a run that is given by its id or by a path.
+
+        Raises:
+            RunFolderError: there is no such run.
+        """
+        candidates = [Path(run)] if os.sep in run else [runs_dir / run, Path(run)]
+        for path in candidates:
+            if (path / RUN_FILE).is_file() or (path / SUMMARY_FILE).is_file():
+                return cls(path)
+        raise RunFolderError(f"there is no run '{run}' in '{runs_dir}'")
+
+    @classmethod
+    def all(cls, runs_dir: Path) -> list[RunFolder]:
+        """The runs in a folder, by name; none if the folder does not exist.
+
+        Raises:
+            RunFolderError: the folder cannot be read.
+        """
+        try:
+            return [cls(path.parent) for path in sorted(runs_dir.glob(f"*/{RUN_FILE}"))]
+        except OSError as error:
+            raise RunFolderError(f"'{runs_dir}' cannot be read: {error.strerror}") from None
+
+    @property
+    def run_id(self) -> str:
+        """The run's id: the folder's name."""
+        return self.path.name
+
+    @property
+    def has_journal(self) -> bool:
+        """Whether there is anything to report on."""
+        return (self.path / JOURNAL_FILE).is_file()
+
+    def record(self, facts: Mapping[str, Any]) -> None:
+        """Write `run.json`, at once and whole.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        draft = self.path / f".{RUN_FILE}.draft"
+        draft.write_text(json.dumps(facts, indent=2, ensure_ascii=False) + "\n")
+        draft.replace(self.path / RUN_FILE)
+
+    def facts(self) -> dict[str, Any]:
+        """What `run.json` says, the state brought up to date; empty if there is none.
+
+        Raises:
+            RunFolderError: it cannot be read.
+        """
+        facts = self._read(RUN_FILE)
+        if facts.get("state") == "running" and not _is_alive(facts):
+            facts["state"] = "died"
+        return facts
+
+    def summary(self) -> dict[str, Any]:
+        """What `summary.json` says; empty if there is none.
+
+        Raises:
+            RunFolderError: it cannot be read.
+        """
+        return self._read(SUMMARY_FILE)
+
+    def row(self) -> list[str]:
+        """The run in a table: id, state, evaluations, hypervolume, start.
+
+        Raises:
+            RunFolderError: it cannot be read.
+        """
+        facts, summary = self.facts(), self.summary()
+        return [
+            self.run_id,
+            _text(facts.get("state")),
+            _text(summary.get("evaluations")),
+            _text(summary.get("hypervolume")),
+            _text(facts.get("started")),
+        ]
+
+    def description(self) -> str:
+        """The main facts of the run and its Pareto front, for a person to read.
+
+        Raises:
+            RunFolderError: it cannot be read.
+        """
+        facts, summary = self.facts(), self.summary()
+        lines = [f"run {self.run_id}"]
+        shown = {name: facts.get(name) for name in ("state", "reason", "started", "ended")}
+        arguments = facts.get("arguments")
+        if isinstance(arguments, Mapping):
+            shown |= {name: arguments.get(name) for name in ("config", "seed")}
+        names = ("evaluations", "failed", "feasible", "hypervolume", "stop_reason")
+        shown |= {name: summary.get(name) for name in names}
+        lines += [
+            f"  {name.replace('_', ' '):<12} {_text(value)}"
+            for name, value in shown.items()
+            if value is not None
+        ]
+        lines.append(f"  {'folder':<12} {self.path}")
+        if not summary:
+            lines.append("There is no summary of this run.")
+            return "\n".join(lines)
+        try:
+            front = summary["pareto_front"]
+            tables = {
+                title: [{"index": point["index"], **point[key]} for point in front]
+                for title, key in (("objectives", "objectives"), ("set-points", "setpoint"))
+            }
+        except (KeyError, TypeError, ValueError):
+            raise RunFolderError(
+                f"'{self.path / SUMMARY_FILE}' holds no Pareto front that can be read"
+            ) from None
+        lines.append(f"Pareto front, {len(front)} points")
+        for title, points in tables.items():
+            if points:
+                rows = [[_text(point.get(name)) for name in points[0]] for point in points]
+                lines += [f"  {title}", *(f"  {line}" for line in table(list(points[0]), rows))]
+        return "\n".join(lines)
+
+    def _read(self, name: str) -> dict[str, Any]:
+        path = self.path / name
+        try:
+            content = json.loads(path.read_text())
+        except FileNotFoundError:
+            return {}
+        except OSError as error:
+            raise RunFolderError(f"'{path}' cannot be read: {error.strerror}") from None
+        except (ValueError, RecursionError):
+            raise RunFolderError(f"'{path}' is broken: it is not JSON") from None
+        if not isinstance(content, dict):
+            raise RunFolderError(f"'{path}' is broken: it holds no JSON object")
+        return content
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table: the first column to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
+    return [
+        "  ".join(
+            cell.rjust(width) if number else cell.ljust(width)
+            for number, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in (header, *rows)
+    ]
+
+
+def process_start(pid: int) -> str | None:
+    """When a living process started, in the kernel's ticks: with its id it names it for good.
+
+    None if there is no such process.
+    """
+    try:
+        content = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return None
+    # After the program's name, in brackets that may hold anything, the 20th field is the start.
+    state, *fields = content.rpartition(")")[2].split()
+    return None if state == "Z" else fields[18]
+
+
+def _is_alive(facts: Mapping[str, Any]) -> bool:
+    pid, started = facts.get("pid"), facts.get("pid_started")
+    return isinstance(pid, int) and isinstance(started, str) and process_start(pid) == started
+
+
+def _new_names(label: str) -> list[str]:
+    harmless = re.sub(r"[^A-Za-z0-9_.-]", "-", label)[:60]
+    stem = f"{datetime.now():%Y%m%d-%H%M%S}-{harmless}"
+    return [stem, *(f"{stem}-{number}" for number in range(2, 100))]
+
+
+def _text(value: object) -> str:
+    """A value of a JSON file for a person; '-' where there is none."""
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return str(value)

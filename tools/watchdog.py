@@ -1,0 +1,71 @@
+"""Ends what `mobo.py` started when `mobo.py` itself was killed and could not.
+
+Every process that the entry script starts carries a marker in its environment, which its own
+children inherit. This program waits, in a session of its own, until its standard input closes: the
+other end is held by `mobo.py` alone, so that the kernel closes it however `mobo.py` ends. Whatever
+still carries the marker then is asked to stop (SIGTERM) and soon after killed.
+
+`python watchdog.py MARK`
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+
+MARKER = "MOBO_PROCESS_MARK"  # environment variable
+PATIENCE = 4.0  # [s] between SIGTERM and SIGKILL
+_POLL_PERIOD = 0.05  # [s]
+_KILL_TIMEOUT = 5.0  # [s] for the kernel to take away what was killed
+
+
+def marked_processes(mark: str) -> list[int]:
+    """Ids of the living processes that carry the mark, other than this one."""
+    needle = f"{MARKER}={mark}".encode()
+    found = []
+    for name in os.listdir("/proc"):
+        if not name.isdigit() or int(name) == os.getpid():
+            continue
+        try:
+            with open(f"/proc/{name}/environ", "rb") as file:
+                if needle in file.read().split(b"\0"):  # a zombie's reads as empty
+                    found.append(int(name))
+        except OSError:
+            continue  # it has ended, or is someone else's
+    return found
+
+
+def end_marked_processes(mark: str, patience: float = PATIENCE) -> None:
+    """Ask the marked processes to stop, and kill those that have not after `patience` seconds."""
+    asked: set[int] = set()
+    kill_at = time.monotonic() + patience
+    give_up_at = kill_at + _KILL_TIMEOUT
+    while (alive := marked_processes(mark)) and time.monotonic() < give_up_at:
+        killing = time.monotonic() >= kill_at
+        for process in alive:
+            if killing or process not in asked:
+                _send(process, signal.SIGKILL if killing else signal.SIGTERM)
+                asked.add(process)
+        time.sleep(_POLL_PERIOD)
+
+
+def _send(process: int, number: signal.Signals) -> None:
+    try:
+        os.kill(process, number)
+    except OSError:
+        pass  # it has ended in between
+
+
+def main() -> None:
+    """Wait for the end of standard input, then clean up."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    while os.read(0, 4096):
+        pass
+    end_marked_processes(sys.argv[1])
+
+
+if __name__ == "__main__":
+    main()
