@@ -361,7 +361,7 @@ def make_parser() -> argparse.ArgumentParser:
         default=0,
         help="of every random choice, the simulated noise included (default: 0)",
     )
-    option("--run-id", metavar="ID", type=_run_id, help="name of the run (default: made of the time)")
+    option("--run-id", metavar="ID", type=_run_id, help="name of the run (default: the time)")
     option("--no-dashboard", action="store_true", help="accepted; there is no page yet")
     option(
         "--speed",

@@ -34,7 +34,9 @@ def main() -> None:
     def score(objectives: np.ndarray) -> float:
         return hypervolume(2.0 * (objectives - low) / (high - low) - 1.0, np.ones(len(names)))
 
-    print(f"{len(names)} objectives, {arguments.evaluations} evaluations, preset {arguments.preset}")
+    print(
+        f"{len(names)} objectives, {arguments.evaluations} evaluations, preset {arguments.preset}"
+    )
     print("seed  optimiser  random  ratio  seconds per suggestion (median)")
     scores = []
     for seed in range(arguments.seeds):

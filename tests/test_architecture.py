@@ -16,8 +16,11 @@ ROS_PACKAGES = ("rclpy", "rcl_interfaces", "mobo_msgs_py", "std_msgs", "builtin_
 def test_the_core_works_where_ros_cannot_be_imported() -> None:
     program = f"""
 import sys
-for name in {ROS_PACKAGES + ("torch",)!r}:
-    sys.modules[name] = None  # importing it now raises ImportError
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {ROS_PACKAGES + ("torch",)!r}:
+            raise ModuleNotFoundError(name + " must not be imported")
+sys.meta_path.insert(0, Absent())
 from mobo_tuner.core import Optimizer, Problem
 problem = Problem.from_dict({{
     "variables": {{"x": {{"min": 0.0, "max": 1.0}}}},

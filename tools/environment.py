@@ -29,8 +29,17 @@ _LOG_TAIL = 20  # lines shown of the log of a stage that failed
 _IGNORED = {"__pycache__", "build", ".pytest_cache", ".mypy_cache", ".ruff_cache"}
 # Variables that would make one Python find what belongs to another, or ROS nodes meet strangers.
 _SCRUBBED = {"VIRTUAL_ENV", "LD_LIBRARY_PATH", "LD_PRELOAD", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"}
-_SCRUBBED_PREFIXES = ("PYTHON", "ROS_", "RMW_", "RCUTILS_", "FASTDDS_", "FASTRTPS_", "AMENT_")
-_SCRUBBED_PREFIXES += ("COLCON_", "CMAKE_PREFIX_PATH")
+_SCRUBBED_PREFIXES = (
+    "AMENT_",
+    "CMAKE_PREFIX_PATH",
+    "COLCON_",
+    "FASTDDS_",
+    "FASTRTPS_",
+    "PYTHON",
+    "RCUTILS_",
+    "RMW_",
+    "ROS_",
+)
 
 
 class SetupError(Exception):
@@ -138,7 +147,7 @@ class Environment:
         stale: list[Stage] = []
         for stage in self._stages.values():
             follows_stale = any(stage.after == earlier.name for earlier in stale)
-            if follows_stale or self._stamped(stage) != self._fingerprint(stage):
+            if follows_stale or self._stamped(stage) != self.fingerprint(stage):
                 stale.append(stage)
         return stale
 
@@ -156,12 +165,34 @@ class Environment:
             for number, stage in enumerate(stale, start=1):
                 self._do(stage, f"[{number}/{len(stale)}] {stage.label}", processes)
 
+    def fingerprint(self, stage: Stage) -> str:
+        """What the stage's stamp says when the stage is complete and current."""
+        digest = hashlib.sha256()
+        if stage.after is None:
+            # A moved folder and an exchanged interpreter each make an environment useless.
+            command: Sequence[str] = (str(self.folder), str(self.python.resolve()))
+        else:
+            command = (self.fingerprint(self._stages[stage.after]), *stage.command)
+        digest.update(repr(tuple(command)).encode())
+        for source in stage.sources:
+            for file in _files(self._root / source):
+                content = hashlib.sha256(file.read_bytes()).hexdigest()
+                digest.update(f"{file.relative_to(self._root)} {content}\n".encode())
+        return digest.hexdigest()
+
+    def mark_done(self, stage: Stage, fingerprint: str) -> None:
+        """Leave a stage's stamp, whole or not at all."""
+        stamp = self._stamp(stage)
+        stamp.parent.mkdir(exist_ok=True)
+        draft = stamp.with_suffix(".draft")
+        draft.write_text(fingerprint)
+        draft.replace(stamp)
+
     def _do(self, stage: Stage, label: str, processes: Processes) -> None:
         if stage.compiles:
             _check_compilers()
-        stamp = self._stamp(stage)
-        stamp.unlink(missing_ok=True)
-        fingerprint = self._fingerprint(stage)
+        self._stamp(stage).unlink(missing_ok=True)
+        fingerprint = self.fingerprint(stage)
         command = [part.format(venv=self.folder) for part in stage.command]
         with tempfile.TemporaryDirectory(prefix="mobo-setup-") as build:
             # Building in a copy keeps the tree clean, and a stale `build` folder out of the wheel.
@@ -186,8 +217,8 @@ class Environment:
         if process.returncode != 0:
             raise SetupError(self._failure(stage, process.returncode))
         if stage.name == "venv":
-            fingerprint = self._fingerprint(stage)  # there is a python to take it from only now
-        _write_at_once(stamp, fingerprint)
+            fingerprint = self.fingerprint(stage)  # there is a python to take it from only now
+        self.mark_done(stage, fingerprint)
 
     def _failure(self, stage: Stage, status: int) -> str:
         lines = self._log.read_text(errors="replace").splitlines()[-_LOG_TAIL:]
@@ -205,21 +236,6 @@ class Environment:
             return self._stamp(stage).read_text()
         except OSError:
             return ""
-
-    def _fingerprint(self, stage: Stage) -> str:
-        """What the stage's stamp says when the stage is complete and current."""
-        digest = hashlib.sha256()
-        if stage.after is None:
-            # A moved folder and an exchanged interpreter each make an environment useless.
-            command: Sequence[str] = (str(self.folder), str(self.python.resolve()))
-        else:
-            command = (self._fingerprint(self._stages[stage.after]), *stage.command)
-        digest.update(repr(tuple(command)).encode())
-        for source in stage.sources:
-            for file in _files(self._root / source):
-                content = hashlib.sha256(file.read_bytes()).hexdigest()
-                digest.update(f"{file.relative_to(self._root)} {content}\n".encode())
-        return digest.hexdigest()
 
     @contextmanager
     def _lock(self, processes: Processes) -> Iterator[None]:
@@ -306,10 +322,3 @@ def _try_lock(descriptor: int) -> bool:
         return False
     return True
 
-
-def _write_at_once(path: Path, text: str) -> None:
-    """Write a file so that it is there whole or not at all."""
-    path.parent.mkdir(exist_ok=True)
-    draft = path.with_name(f"{path.name}.draft")
-    draft.write_text(text)
-    draft.replace(path)

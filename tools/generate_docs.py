@@ -38,7 +38,17 @@ relative: they follow namespaces and remappings."""
 
 def interfaces() -> str:
     """The text of docs/interfaces.md."""
-    lines = [NOTE, "", "# Interfaces", "", "Package `mobo_msgs_py`.", "", "## Topics, actions, services", "", TOPICS]
+    lines = [
+        NOTE,
+        "",
+        "# Interfaces",
+        "",
+        "Package `mobo_msgs_py`.",
+        "",
+        "## Topics, actions, services",
+        "",
+        TOPICS,
+    ]
     for suffix, title in TITLES.items():
         lines += ["", f"## {title}"]
         for path in sorted((INTERFACES / suffix[1:]).glob(f"*{suffix}")):
@@ -49,11 +59,15 @@ def interfaces() -> str:
 
 def _interface(text: str, parts: tuple[str, ...]) -> list[str]:
     lines: list[str] = []
-    for index, (part, body) in enumerate(zip(parts, re.split(r"^---$", text, flags=re.MULTILINE), strict=True)):
+    for index, (part, body) in enumerate(
+        zip(parts, re.split(r"^---$", text, flags=re.MULTILINE), strict=True)
+    ):
         comments = [line.lstrip("# ") for line in body.splitlines() if line.startswith("#")]
         if index == 0 and comments:
             lines += [" ".join(comments), ""]
-        fields = [_field(line) for line in body.splitlines() if line.strip() and not line.startswith("#")]
+        fields = [
+            _field(line) for line in body.splitlines() if line.strip() and not line.startswith("#")
+        ]
         if part:
             lines += [f"**{part}**" + ("" if fields else ": empty"), ""]
         if fields:
@@ -92,8 +106,19 @@ def parameters() -> str:
         "| `constraints.<name>.min`, `.max` | numbers, one needed | limits of a diagnostic |",
         "| `observables.<name>.unit` | text | a diagnostic to publish and record besides |",
     ]
-    for node, specs in (("tuner", TUNER), ("awa_sim", AWA_SIM), ("recorder", RECORDER), ("console", CONSOLE)):
-        lines += ["", f"## Node `{node}`", "", "| parameter | type | default | allowed | meaning |", "|---|---|---|---|---|"]
+    for node, specs in (
+        ("tuner", TUNER),
+        ("awa_sim", AWA_SIM),
+        ("recorder", RECORDER),
+        ("console", CONSOLE),
+    ):
+        lines += [
+            "",
+            f"## Node `{node}`",
+            "",
+            "| parameter | type | default | allowed | meaning |",
+            "|---|---|---|---|---|",
+        ]
         lines += [_row(spec) for spec in specs]
     return "\n".join(lines) + "\n"
 
@@ -102,7 +127,9 @@ def _row(spec: ParameterSpec) -> str:
     default = f"`{spec.default}`" if spec.default != "" else "empty"
     if isinstance(spec.default, float) and not math.isfinite(spec.default):
         default = "none"
-    return f"| `{spec.name}` | {spec.type_name} | {default} | {spec.range_text} | {spec.description} |"
+    return (
+        f"| `{spec.name}` | {spec.type_name} | {default} | {spec.range_text} | {spec.description} |"
+    )
 
 
 def main() -> int:

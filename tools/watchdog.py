@@ -10,6 +10,7 @@ still carries the marker then is asked to stop (SIGTERM) and soon after killed.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
@@ -52,10 +53,8 @@ def end_marked_processes(mark: str, patience: float = PATIENCE) -> None:
 
 
 def _send(process: int, number: signal.Signals) -> None:
-    try:
+    with contextlib.suppress(OSError):  # it has ended in between
         os.kill(process, number)
-    except OSError:
-        pass  # it has ended in between
 
 
 def main() -> None:

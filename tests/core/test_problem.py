@@ -61,7 +61,9 @@ def test_a_maximised_objective_is_turned_round() -> None:
 
 def test_a_ros_parameter_file_and_the_bare_mapping_give_the_same(tmp_path: Path) -> None:
     (tmp_path / "ros.yaml").write_text(
-        yaml.safe_dump({"/**": {"ros__parameters": MAPPING}, "tuner": {"ros__parameters": {}}}, sort_keys=False)
+        yaml.safe_dump(
+            {"/**": {"ros__parameters": MAPPING}, "tuner": {"ros__parameters": {}}}, sort_keys=False
+        )
     )
     (tmp_path / "bare.yaml").write_text(yaml.safe_dump(MAPPING, sort_keys=False))
     ros = Problem.from_yaml(tmp_path / "ros.yaml")

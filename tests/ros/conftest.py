@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import itertools
 import os
 import tempfile
 import time
@@ -18,13 +19,15 @@ from ros_support import TIMEOUT, NodeStarter
 
 # Domain 0 is everybody's; above 101 the ports of a domain collide with Linux's ephemeral ones.
 DOMAINS = range(1, 102)
+# Each test takes the next one: what an earlier test left in this process is then out of the way.
+_numbers = itertools.count(os.getpid())
 
 
 @pytest.fixture
 def ros_domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """A ROS domain id that no other test and no run on this machine uses, set for this process."""
-    first = os.getpid() % len(DOMAINS)
-    for domain in [*DOMAINS[first:], *DOMAINS[:first]]:
+    for number in itertools.islice(_numbers, len(DOMAINS)):
+        domain = DOMAINS[number % len(DOMAINS)]
         lock = (Path(tempfile.gettempdir()) / f"mobo-ros-domain-{domain}.lock").open("a")
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -79,16 +79,27 @@ class NodeStarter:
     processes: list[NodeProcess] = field(default_factory=list)
 
     def __call__(
-        self, *arguments: str, preexec: Callable[[], None] | None = None, **environment: str
+        self,
+        *arguments: str,
+        preexec: Callable[[], None] | None = None,
+        terminal: int | None = None,
+        **environment: str,
     ) -> NodeProcess:
-        """Run Python with `arguments`; keywords are added to the environment."""
+        """Run Python with `arguments`.
+
+        Args:
+            arguments: of the interpreter.
+            preexec: runs in the new process first.
+            terminal: file descriptor of a terminal that becomes its standard output.
+            environment: is added to that of the test.
+        """
         stem = self.folder / f"process{len(self.processes)}"
         out, err = stem.with_suffix(".out"), stem.with_suffix(".err")
         with out.open("wb") as stdout, err.open("wb") as stderr:
             popen = subprocess.Popen(
                 [sys.executable, *arguments],
                 stdin=subprocess.DEVNULL,
-                stdout=stdout,
+                stdout=stdout if terminal is None else terminal,
                 stderr=stderr,
                 env={**os.environ, **environment},
                 start_new_session=True,

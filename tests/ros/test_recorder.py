@@ -15,7 +15,6 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
 from mobo_msgs_py.msg import Evaluation, NamedValue, Problem, RecorderStatus, Variable
 from mobo_tuner.ros.qos import LATCHED, STREAM
-from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import qos_profile_sensor_data
@@ -126,17 +125,14 @@ def test_every_message_is_in_the_bag_after_a_signal(
     plots = node.create_publisher(Float64, "plot/hypervolume", STREAM)
     recording = record()
     recording.wait_for(problems, evaluations, plots)
-    for index in range(300):
+    for index in range(80):  # fewer than the publishers themselves keep
         evaluations.publish(evaluation(index))
         plots.publish(Float64(data=float(index)))
-        if index % 50 == 0:  # a publisher itself keeps the last 100 only
-            assert evaluations.wait_for_all_acked(Duration(seconds=10))
-            assert plots.wait_for_all_acked(Duration(seconds=10))
     assert recording.process.stop(number) == 0  # at once: what was published must not be lost
 
     for messages in (read_with_rosbags(recording.bag), read_with_mcap(recording.bag)):
-        assert [m.index for m in messages["/evaluation"]] == list(range(300))
-        assert [m.data for m in messages["/plot/hypervolume"]] == [float(i) for i in range(300)]
+        assert [m.index for m in messages["/evaluation"]] == list(range(80))
+        assert [m.data for m in messages["/plot/hypervolume"]] == [float(i) for i in range(80)]
         assert messages["/evaluation"][7].setpoint[0].unit == "A"
         assert messages["/evaluation"][7].setpoint[0].value == 407.0
         assert len(messages["/problem"]) == 1

@@ -336,9 +336,7 @@ def test_a_bad_problem_is_said_and_the_node_does_not_start(
             }
         )
     )
-    process = start_node(
-        "-m", "mobo_tuner.nodes.tuner", "--ros-args", "--params-file", str(file)
-    )
+    process = start_node("-m", "mobo_tuner.nodes.tuner", "--ros-args", "--params-file", str(file))
     assert process.wait() == 2
     assert "variables.x.min is 2, which must be less than its max of 1" in process.stderr
     assert "Traceback" not in process.stderr

@@ -65,8 +65,7 @@ class Dataset:
         measured = {name: _mean_and_stddev(name, value) for name, value in outputs.items()}
         values = {name: mean for name, (mean, _) in measured.items()}
         valid = all(
-            math.isfinite(values.get(name, math.nan))
-            for name in self.problem.required_diagnostics
+            math.isfinite(values.get(name, math.nan)) for name in self.problem.required_diagnostics
         )
         evaluation = Evaluation(
             index=len(self.evaluations),

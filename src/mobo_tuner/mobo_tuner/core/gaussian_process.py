@@ -97,7 +97,7 @@ class GaussianProcess:
 
     def fit(
         self,
-        X: ArrayLike,
+        x: ArrayLike,
         y: ArrayLike,
         stddev: ArrayLike | None = None,
         *,
@@ -109,7 +109,7 @@ class GaussianProcess:
         The training starts from the last hyperparameters where there are some.
 
         Args:
-            X: normalised inputs `(n, d)`, n >= 1.
+            x: normalised inputs `(n, d)`, n >= 1.
             y: outputs `(n,)`.
             stddev: known standard deviations of the outputs `(n,)`; NaN where unknown.
             rng: draws the random starts; a generator of fixed seed without it.
@@ -122,7 +122,7 @@ class GaussianProcess:
             ValueError: an argument has the wrong shape or a value that is not finite.
         """
         d = None if self._state is None else self._state.posterior.kernel.d
-        inputs, outputs, noise = _checked_data(X, y, stddev, d)
+        inputs, outputs, noise = _checked_data(x, y, stddev, d)
         kernel = make_kernel(self.settings.kernel, inputs.shape[1])
         generator = np.random.default_rng(0) if rng is None else rng
         starts = self.settings.restarts if restarts is None else restarts
@@ -153,7 +153,7 @@ class GaussianProcess:
         return self
 
     def condition(
-        self, X: ArrayLike, y: ArrayLike, stddev: ArrayLike | None = None
+        self, x: ArrayLike, y: ArrayLike, stddev: ArrayLike | None = None
     ) -> GaussianProcess:
         """Take these observations in place of all former ones, without training; O(n^3).
 
@@ -161,7 +161,7 @@ class GaussianProcess:
         those of `fit`.
         """
         model, posterior, *_ = self._fitted
-        inputs, outputs, noise = _checked_data(X, y, stddev, posterior.kernel.d)
+        inputs, outputs, noise = _checked_data(x, y, stddev, posterior.kernel.d)
         with single_blas_thread():
             self._state = self._condition(posterior.kernel, model, inputs, outputs, noise)
         return self
@@ -184,10 +184,10 @@ class GaussianProcess:
         """
         model, posterior, former, former_noise = self._fitted
         known = None if stddev is None else [stddev]
-        inputs, outputs, noise = _checked_data([x], [y], known, posterior.kernel.d)
+        inputs, outputs, noise = _checked_data(np.asarray(x)[None], [y], known, posterior.kernel.d)
         all_outputs, all_noise = np.append(former, outputs), np.append(former_noise, noise)
         if model.scaling.log and not y > 0.0:
-            return self.fit(np.vstack([posterior.X, inputs]), all_outputs, all_noise, restarts=0)
+            return self.fit(np.vstack([posterior.x, inputs]), all_outputs, all_noise, restarts=0)
         with single_blas_thread():
             z = model.scaling.standardise(inputs, outputs)
             posterior.add(inputs, z, self._noise(model, outputs, noise))
@@ -196,28 +196,28 @@ class GaussianProcess:
 
     # Predictions.
 
-    def predict(self, X: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation `(m,)` of the latent function at X `(m, d)`; O(m n^2).
+    def predict(self, x: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Mean and standard deviation `(m,)` of the latent function at x `(m, d)`; O(m n^2).
 
         In the output's units and without the noise of an observation.
         """
         model, posterior, *_ = self._fitted
-        inputs = as_inputs(X, posterior.kernel.d)
+        inputs = as_inputs(x, posterior.kernel.d)
         with single_blas_thread():
             mean, stddev = posterior.predict(inputs)
-        return model.scaling.moments(*model.scaling.unstandardise(inputs, mean, stddev))
+        return model.scaling.to_output(*model.scaling.unstandardise(inputs, mean, stddev))
 
-    def predict_with_gradient(self, X: ArrayLike) -> Prediction:
+    def predict_with_gradient(self, x: ArrayLike) -> Prediction:
         """As `predict`, with the gradients in x; O(m n^2), about twice the time."""
         (_, scaling, _), posterior, *_ = self._fitted
-        inputs = as_inputs(X, posterior.kernel.d)
+        inputs = as_inputs(x, posterior.kernel.d)
         with single_blas_thread():
             mean, stddev, gradients = posterior.predict_with_gradient(inputs)
         mean, stddev = scaling.unstandardise(inputs, mean, stddev)
         mean_gradient = scaling.prior_mean_gradient(inputs) + scaling.scale * gradients.mean
         return Prediction(
-            *scaling.moments(mean, stddev),
-            *scaling.moment_gradients(
+            *scaling.to_output(mean, stddev),
+            *scaling.gradients_to_output(
                 mean, stddev, mean_gradient, scaling.scale * gradients.stddev
             ),
         )
@@ -226,8 +226,8 @@ class GaussianProcess:
         """Every observation predicted from all others with the same hyperparameters; O(n^2)."""
         (_, scaling, _), posterior, y, _ = self._fitted
         excess, variance = posterior.leave_one_out()
-        latent = scaling.unstandardise(posterior.X, posterior.z - excess, np.sqrt(variance))
-        mean, stddev = scaling.moments(*latent)
+        latent = scaling.unstandardise(posterior.x, posterior.z - excess, np.sqrt(variance))
+        mean, stddev = scaling.to_output(*latent)
         log_density = -0.5 * (np.log(2.0 * np.pi * variance) + excess * excess / variance)
         return LeaveOneOut(mean, stddev, y - mean, log_density + scaling.log_slope(y))
 
@@ -240,13 +240,13 @@ class GaussianProcess:
 
     @property
     def log_marginal_likelihood(self) -> float:
-        """Log density of the observations in the output's units, without hyperparameters' priors."""
+        """Log density of the observations in the output's units, without the priors."""
         (_, scaling, _), posterior, y, _ = self._fitted
         return posterior.log_marginal_likelihood + float(scaling.log_slope(y).sum())
 
     @property
     def model(self) -> str:
-        """Prior mean in use: data, reference, constant or function; " log" after it with the log."""
+        """Prior mean in use: data, reference, constant or function; with " log" for the log."""
         return self._fitted.model.name
 
     @property
@@ -294,7 +294,7 @@ class GaussianProcess:
     def from_state(
         cls,
         state: dict[str, Any],
-        X: ArrayLike = (),
+        x: ArrayLike = (),
         y: ArrayLike = (),
         stddev: ArrayLike | None = None,
         *,
@@ -305,7 +305,7 @@ class GaussianProcess:
 
         Args:
             state: from `get_state`, also after a passage through JSON.
-            X: normalised inputs `(n, d)` of all observations, those of `add` included.
+            x: normalised inputs `(n, d)` of all observations, those of `add` included.
             y: outputs `(n,)`.
             stddev: as in `fit`.
             mean: the prior mean function again, where there was one.
@@ -320,11 +320,11 @@ class GaussianProcess:
         fitted = state["fitted"]
         if fitted is None:
             return restored
-        inputs, outputs, noise = _checked_data(X, y, stddev, fitted["d"])
+        inputs, outputs, noise = _checked_data(x, y, stddev, fitted["d"])
         m = fitted["factorised"]
         if len(outputs) < m:
             raise ValueError(
-                f"X must have at least the {m} observations of the state, got {len(outputs)}"
+                f"x must have at least the {m} observations of the state, got {len(outputs)}"
             )
         scaling = OutputScaling(
             fitted["log"],
@@ -350,25 +350,26 @@ class GaussianProcess:
         return self._state
 
     def _condition(
-        self, kernel: Kernel, model: _Model, X: FloatArray, y: FloatArray, stddev: FloatArray
+        self, kernel: Kernel, model: _Model, x: FloatArray, y: FloatArray, stddev: FloatArray
     ) -> _State:
         if model.scaling.log and not (y > 0.0).all():
             raise ValueError(f"y must be positive where its logarithm is modelled, got {y.min()}")
         variance = float(np.exp(model.parameters[-2]))
-        z = model.scaling.standardise(X, y)
+        z = model.scaling.standardise(x, y)
         noise = self._noise(model, y, stddev)
-        posterior = Posterior(kernel, model.parameters[:-2], variance, X, z, noise)
+        posterior = Posterior(kernel, model.parameters[:-2], variance, x, z, noise)
         return _State(model, posterior, y, stddev)
 
     def _noise(self, model: _Model, y: FloatArray, stddev: FloatArray) -> FloatArray:
         """Variances `(n,)` of the standardised observations, learned and known parts together."""
-        return np.exp(model.parameters[-1]) + self._known_noise(model.scaling, y, stddev)
+        learned = float(np.exp(model.parameters[-1]))
+        return learned + self._known_noise(model.scaling, y, stddev)
 
     def _known_noise(self, scaling: OutputScaling, y: FloatArray, stddev: FloatArray) -> FloatArray:
         fixed = 0.0 if isinstance(self.settings.noise, str) else self.settings.noise
         return scaling.noise_variances(y, np.hypot(stddev, fixed))
 
-    def _scalings(self, X: FloatArray, y: FloatArray) -> list[tuple[str, OutputScaling]]:
+    def _scalings(self, x: FloatArray, y: FloatArray) -> list[tuple[str, OutputScaling]]:
         """The ways to model these outputs that the settings allow, by name; at least one."""
         settings, reference = self.settings, self.reference
         if callable(settings.mean):
@@ -376,7 +377,7 @@ class GaussianProcess:
                 (
                     "function",
                     OutputScaling.of(
-                        X, y, mean=settings.mean, mean_gradient=settings.mean_gradient
+                        x, y, mean=settings.mean, mean_gradient=settings.mean_gradient
                     ),
                 )
             ]
@@ -389,13 +390,13 @@ class GaussianProcess:
             offsets = {settings.mean: None if settings.mean == "data" else reference}
         else:
             offsets = {"constant": float(settings.mean)}
-        plain = [(name, OutputScaling.of(X, y, offset=offset)) for name, offset in offsets.items()]
+        plain = [(name, OutputScaling.of(x, y, offset=offset)) for name, offset in offsets.items()]
         if settings.transform == "none" or not (y > 0.0).all():
             return plain
         logs = [
             (
                 f"{name} log",
-                OutputScaling.of(X, y, offset=None if offset is None else np.log(offset), log=True),
+                OutputScaling.of(x, y, offset=None if offset is None else np.log(offset), log=True),
             )
             for name, offset in offsets.items()
             if offset is None or offset > 0.0
@@ -404,14 +405,14 @@ class GaussianProcess:
 
 
 def _checked_data(
-    X: ArrayLike, y: ArrayLike, stddev: ArrayLike | None, d: int | None
+    x: ArrayLike, y: ArrayLike, stddev: ArrayLike | None, d: int | None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Copies of the observations, `(n, d)`, `(n,)` and `(n,)`, the last with 0 where unknown."""
-    inputs = as_inputs(X, d).copy()
+    inputs = as_inputs(x, d).copy()
     outputs = np.array(y, dtype=np.float64)
     if outputs.ndim != 1 or len(outputs) != len(inputs) or len(outputs) == 0:
         raise ValueError(
-            f"y must have one value for each of {len(inputs)} rows of X, got shape {outputs.shape}"
+            f"y must have one value for each of {len(inputs)} rows of x, got shape {outputs.shape}"
         )
     if not (np.abs(outputs) <= _LARGEST_OUTPUT).all():
         raise ValueError(

@@ -97,7 +97,8 @@ class GaussianProcessSettings:
         if isinstance(self.mean, str):
             if self.mean not in get_args(MeanName):
                 raise ValueError(
-                    f"mean must be data, reference, auto, a number or a function, got {self.mean!r}"
+                    f"mean must be {', '.join(get_args(MeanName))}, a number or a function, "
+                    f"got {self.mean!r}"
                 )
         else:
             _check_number("mean", self.mean)
@@ -153,7 +154,7 @@ class GaussianProcessSettings:
         mean: MeanFunction | None = None,
         mean_gradient: MeanFunction | None = None,
     ) -> GaussianProcessSettings:
-        """Inverse of `to_dict`, also after a passage through JSON; a mean function must be given again."""
+        """Inverse of `to_dict`, also through JSON; a mean function must be given again."""
         values = dict(values)
         if values.get("mean") == "function":
             if mean is None:
@@ -179,9 +180,6 @@ def _check_number(name: str, value: object, least: float = -np.inf, most: float 
         or not isinstance(value, int | float | np.number)
         or not (np.isfinite(value) and least <= value <= most)
     ):
-        bounds = (
-            f"between {least:g} and {most:g}" if np.isfinite(most) else f"of at least {least:g}"
-        )
-        raise ValueError(
-            f"{name} must be a finite number{' ' + bounds if np.isfinite(least) else ''}, got {value!r}"
-        )
+        bounds = f" of at least {least:g}" if np.isfinite(least) else ""
+        bounds += f" and at most {most:g}" if np.isfinite(most) else ""
+        raise ValueError(f"{name} must be a finite number{bounds}, got {value!r}")

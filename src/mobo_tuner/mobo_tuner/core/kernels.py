@@ -72,7 +72,7 @@ class Kernel(ABC):
 
     @abstractmethod
     def factor(self, parameters: FloatArray) -> FloatArray:
-        """F `(d, d)` with `Lambda = F F^T`: distances are Euclidean between rows of `X F`."""
+        """F `(d, d)` with `Lambda = F F^T`: distances are Euclidean between rows of `x F`."""
 
     @abstractmethod
     def pull_back(self, parameters: FloatArray, precision_gradient: FloatArray) -> FloatArray:
@@ -90,39 +90,39 @@ class Kernel(ABC):
     def prior(self) -> NormalPrior:
         """Weakly informative prior of the parameters."""
 
-    def gradient(self, parameters: FloatArray, X: FloatArray, weights: FloatArray) -> FloatArray:
-        """Gradient `(k,)` of `sum_ij C_ij g(r_ij^2)` in the parameters, X `(n, d)`, O(n^2 d).
+    def gradient(self, parameters: FloatArray, x: FloatArray, weights: FloatArray) -> FloatArray:
+        """Gradient `(k,)` of `sum_ij C_ij g(r_ij^2)` in the parameters, x `(n, d)`, O(n^2 d).
 
         Args:
             parameters: shape parameters `(k,)`.
-            X: inputs `(n, d)`.
+            x: inputs `(n, d)`.
             weights: `w_ij C_ij` `(n, n)`: slope times the symmetric C, its diagonal zero (it has no
                 influence, and its rounding errors are kept away); either all of it or, with zeros
                 above, twice its lower triangle.
         """
         row_sums = weights.sum(axis=1) + weights.sum(axis=0)
-        moment = X.T @ (weights @ X)
+        moment = x.T @ (weights @ x)
         # sum_ij W_ij (x_i - x_j)(x_i - x_j)^T, with d g / d Lambda = -w / 2 times that product.
-        scatter = (X.T * row_sums) @ X - moment - moment.T
+        scatter = (x.T * row_sums) @ x - moment - moment.T
         return self.pull_back(parameters, -0.5 * scatter)
 
 
-def as_inputs(X: ArrayLike, d: int | None = None) -> FloatArray:
+def as_inputs(x: ArrayLike, d: int | None = None) -> FloatArray:
     """Normalised inputs as an array `(n, d)`; ValueError where not finite or of another shape."""
-    inputs = np.asarray(X, dtype=np.float64)
+    inputs = np.asarray(x, dtype=np.float64)
     if inputs.ndim != 2 or inputs.shape[1] == 0 or (d is not None and inputs.shape[1] != d):
-        raise ValueError(f"X must have shape (n, {d or 'd >= 1'}), got {inputs.shape}")
+        raise ValueError(f"x must have shape (n, {d or 'd >= 1'}), got {inputs.shape}")
     if not np.isfinite(inputs).all():
-        raise ValueError("X must be finite, got NaN or infinity")
+        raise ValueError("x must be finite, got NaN or infinity")
     return inputs
 
 
-def squared_distances(A: FloatArray, B: FloatArray) -> FloatArray:
-    """Squared Euclidean distances `(m, n)` between rows of A `(m, d)` and B `(n, d)`, >= 0."""
-    products = B @ A.T if A is B else A @ B.T
+def squared_distances(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Squared Euclidean distances `(m, n)` between rows of a `(m, d)` and b `(n, d)`, >= 0."""
+    products = b @ a.T if a is b else a @ b.T
     products *= -2.0
-    products += np.einsum("ij,ij->i", A, A)[:, None]
-    products += np.einsum("ij,ij->i", B, B)
+    products += np.einsum("ij,ij->i", a, a)[:, None]
+    products += np.einsum("ij,ij->i", b, b)
     return np.maximum(products, 0.0, out=products)
 
 
@@ -150,7 +150,7 @@ class RBF(Kernel):
 
     def pull_back(self, parameters: FloatArray, precision_gradient: FloatArray) -> FloatArray:
         """`d Lambda_aa / d log l_a = -2 / l_a^2`."""
-        return -2.0 * np.exp(-2.0 * parameters) * np.diagonal(precision_gradient)
+        return np.asarray(-2.0 * np.exp(-2.0 * parameters) * np.diagonal(precision_gradient))
 
     def default_parameters(self) -> FloatArray:
         """Length-scales of 2: half of each variable's range of [-1, 1] on either side."""
@@ -181,11 +181,11 @@ class RBFIsotropic(RBF):
 
     def factor(self, parameters: FloatArray) -> FloatArray:
         """`I / lambda`."""
-        return np.eye(self.d) * np.exp(-parameters[0])
+        return np.asarray(np.eye(self.d) * np.exp(-parameters[0]))
 
     def pull_back(self, parameters: FloatArray, precision_gradient: FloatArray) -> FloatArray:
         """`d Lambda / d log lambda = -2 I / lambda^2`."""
-        return -2.0 * np.exp(-2.0 * parameters) * np.trace(precision_gradient)
+        return np.asarray(-2.0 * np.exp(-2.0 * parameters) * np.trace(precision_gradient))
 
 
 class Matern52(RBF):
@@ -237,7 +237,8 @@ class RBFFull(Kernel):
     def precision(self, parameters: FloatArray) -> FloatArray:
         """The precision matrix Lambda `(d, d)`."""
         triangle = self._triangle(parameters)
-        return triangle @ triangle.T + np.diag(np.exp(parameters[len(self._rows) :]))
+        diagonal = np.diag(np.exp(parameters[len(self._rows) :]))
+        return np.asarray(triangle @ triangle.T + diagonal)
 
     def parameters_of(self, precision: FloatArray) -> FloatArray:
         """Parameters `(k,)` of a given positive definite Lambda `(d, d)`.
@@ -246,7 +247,7 @@ class RBFFull(Kernel):
         """
         floor = 0.5 * float(np.linalg.eigvalsh(precision)[0])
         rest = precision - floor * np.eye(self.d)
-        # Reversing rows and columns turns the lower factor into the upper triangle with L L^T = rest.
+        # With rows and columns reversed the lower factor is the upper triangle with L L^T = rest.
         triangle = np.linalg.cholesky(rest[::-1, ::-1])[::-1, ::-1]
         return np.concatenate([triangle[self._rows, self._columns], np.full(self.d, np.log(floor))])
 
@@ -257,7 +258,7 @@ class RBFFull(Kernel):
 
     def factor(self, parameters: FloatArray) -> FloatArray:
         """The lower Cholesky factor of Lambda."""
-        return np.linalg.cholesky(self.precision(parameters))
+        return np.asarray(np.linalg.cholesky(self.precision(parameters)), dtype=np.float64)
 
     def pull_back(self, parameters: FloatArray, precision_gradient: FloatArray) -> FloatArray:
         """`2 G L` in the triangle and `G_aa l_a` in `log l_a`, with G the gradient in Lambda."""
@@ -266,7 +267,7 @@ class RBFFull(Kernel):
         return np.concatenate([triangle[self._rows, self._columns], diagonal])
 
     def default_parameters(self) -> FloatArray:
-        """Both parts half of a precision of 1/4, that is of length-scales of 2, and no correlation."""
+        """Length-scales of 2, half of the precision from either part, and no correlation."""
         triangle = np.where(self._rows == self._columns, np.sqrt(0.125), 0.0)
         return np.concatenate([triangle, np.full(self.d, np.log(0.125))])
 

@@ -22,48 +22,33 @@ _FIRST_JITTER = 1e-10
 _LAST_JITTER = 1e2
 
 
-class _BlasThreadLimit:
-    """A limit shared by all threads: set by the first to enter, lifted by the last to leave."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._depth = 0
-        self._controller = ThreadpoolController()
-        self._limiter = None
-
-    def enter(self) -> None:
-        with self._lock:
-            if self._depth == 0:
-                self._limiter = self._controller.limit(limits=1, user_api="blas")
-            self._depth += 1
-
-    def leave(self) -> None:
-        with self._lock:
-            self._depth -= 1
-            if self._depth == 0 and self._limiter is not None:
-                self._limiter.restore_original_limits()
-                self._limiter = None
+_entered = threading.local()
 
 
 @cache
-def _blas_thread_limit() -> _BlasThreadLimit:
-    return _BlasThreadLimit()
+def _controller() -> ThreadpoolController:
+    # Looks for the libraries once, which takes longer than what it is used around.
+    return ThreadpoolController()
 
 
 @contextmanager
 def single_blas_thread() -> Iterator[None]:
-    """Run the block with one BLAS thread; may be nested and entered from several threads.
+    """Run the block with one BLAS thread; may be nested.
 
-    The outermost entry costs about 15 microseconds, an inner one less than 1: a caller of many
-    small predictions
-    holds it around all of them.
+    The outermost entry costs about 20 microseconds, an inner one less than 1: a caller of many
+    small predictions holds it around all of them. The limit is the whole process', and the thread
+    that entered first lifts it: who hands work to other threads enters before they do and leaves
+    after them.
     """
-    limit = _blas_thread_limit()
-    limit.enter()
-    try:
+    if getattr(_entered, "inside", False):
         yield
+        return
+    _entered.inside = True
+    try:
+        with _controller().limit(limits=1, user_api="blas"):
+            yield
     finally:
-        limit.leave()
+        _entered.inside = False
 
 
 def cholesky(matrix: FloatArray) -> tuple[FloatArray, float]:
@@ -82,11 +67,11 @@ def cholesky(matrix: FloatArray) -> tuple[FloatArray, float]:
             semi-definite.
     """
     factor, info = lapack.dpotrf(matrix.T, lower=1, clean=1)
+    if not np.isfinite(np.diagonal(factor)).all() or (info and not np.isfinite(matrix).all()):
+        raise ValueError("the covariance matrix has a value that is not finite")
     if info == 0:
         return factor, 0.0
     scale = float(np.mean(np.abs(np.diagonal(matrix)))) or 1.0
-    if not np.isfinite(matrix).all():
-        raise ValueError("the covariance matrix has a value that is not finite")
     relative = _FIRST_JITTER
     while relative <= _LAST_JITTER:
         jittered = matrix.copy()

@@ -10,7 +10,7 @@ import numpy as np
 from mobo_tuner.core.dataset import Dataset
 from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.presets import OptimizerSettings
-from mobo_tuner.core.problem import Problem
+from mobo_tuner.core.problem import Array, Problem
 
 
 class Models:
@@ -33,7 +33,8 @@ class Models:
         constrained = replace(process, mean="data") if process.mean == "reference" else process
         self._signs = {o.name: o.sign for o in problem.objectives}
         self._processes = {
-            o.name: GaussianProcess(process, reference=o.sign * o.reference) for o in problem.objectives
+            o.name: GaussianProcess(process, reference=o.sign * o.reference)
+            for o in problem.objectives
         } | {
             c.name: GaussianProcess(constrained)
             for c in problem.constraints
@@ -72,11 +73,11 @@ class Models:
         count = len(rows)
         if count == self._held:
             return
-        train = self._trained == 0 or count - self._trained >= self._refit_every
+        patience = self._refit_every or 1 + self._trained // 25
+        train = self._trained == 0 or count - self._trained >= patience
         inputs = data.inputs
         for position, (name, process) in enumerate(self._processes.items()):
-            y = data.column(name) * self._signs.get(name, 1.0)
-            stddev = data.stddev_column(name)
+            y, stddev = self._observations(name, data)
             if train:
                 rng = np.random.default_rng([self._seed, 1, count, position])
                 process.fit(inputs[rows], y[rows], stddev[rows], rng=rng)
@@ -87,16 +88,24 @@ class Models:
         if train:
             self._trained = count
 
+    def _observations(self, name: str, data: Dataset) -> tuple[Array, Array]:
+        """Values as they are modelled and their standard deviations, ``(n,)`` each."""
+        return data.column(name) * self._signs.get(name, 1.0), data.stddev_column(name)
+
     def get_state(self) -> dict[str, Any]:
-        """What `from_state` needs, as plain data."""
+        """What `set_state` needs beside the data, as plain data."""
         return {
             "trained": self._trained,
             "held": self._held,
-            "processes": {name: p.get_state() for name, p in self._processes.items()} if self._held else {},
+            "processes": {name: p.get_state() for name, p in self._processes.items()},
         }
 
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Continue where `get_state` was called; the same data must follow."""
+    def set_state(self, state: dict[str, Any], data: Dataset) -> None:
+        """Be as the models that `get_state` came from, given the data that they had learned from."""
         self._trained, self._held = state["trained"], state["held"]
-        for name, process_state in state["processes"].items():
-            self._processes[name] = GaussianProcess.from_state(process_state)
+        rows = np.flatnonzero(data.valid)[: self._held]
+        for name in self._processes:
+            y, stddev = self._observations(name, data)
+            self._processes[name] = GaussianProcess.from_state(
+                state["processes"][name], data.inputs[rows], y[rows], stddev[rows]
+            )

@@ -1,16 +1,327 @@
-from mobo_tuner.core.problem import *
-from mobo_tuner.core.dataset import Dataset
-from mobo_tuner.core.initial_design import initial_design
-from mobo_tuner.core.pareto import is_nondominated
+"""Ask and tell: where to measure next, and what was measured."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from functools import reduce
+from operator import mul
+from pathlib import Path
+from typing import Any, Literal
+
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import qmc
+
+from mobo_tuner.core.acquisition import (
+    AcquisitionFunction,
+    ExpectedHypervolumeImprovement,
+    ExpectedImprovement,
+    UpperConfidenceBound,
+    UpperConfidenceBoundHypervolumeImprovement,
+)
+from mobo_tuner.core.acquisition_optimizer import Maximizer, MultiStart, ParticleSwarm
+from mobo_tuner.core.constraints import ProbabilityOfFeasibility
+from mobo_tuner.core.dataset import Dataset, Evaluation, Measured
+from mobo_tuner.core.hypervolume import BoxDecomposition
+from mobo_tuner.core.initial_design import initial_design
+from mobo_tuner.core.models import Models
+from mobo_tuner.core.pareto import is_below, is_nondominated
+from mobo_tuner.core.presets import OptimizerSettings, make_settings
+from mobo_tuner.core.problem import Array, Problem, ProblemError
+from mobo_tuner.core.proximal import ProximalBiasing
+from mobo_tuner.core.scalarisation import WeightedSum
+
+Source = Literal["initial", "model"]
+
+STATE_VERSION = 1
+FAILED_TOLERANCE = (
+    0.02  # a failed set-point is not proposed again within 1 % of every variable's range
+)
+_EXPLORED = 1024  # quasi-random points among which exploration chooses
+
+_MAXIMIZERS: dict[str, type[MultiStart] | type[ParticleSwarm]] = {
+    "multi_start": MultiStart,
+    "particle_swarm": ParticleSwarm,
+}
+
+
 class Optimizer:
-    def __init__(self, problem, preset="default", seed=0, **kw):
-        self.problem=problem; self.seed=seed; self.data=Dataset(problem); self.last_source="initial"
-    def ask(self):
-        n=len(self.data)
-        return self.problem.denormalize(initial_design("latin_hypercube",200,len(self.problem.variables),self.seed)[n])
-    def tell(self,x,y): return self.data.add(x,y)
-    hypervolume=1.0
-    def pareto_front(self):
-        F=self.data.objectives; k=is_nondominated(F) if len(F) else []
-        return [dict(index=e.index,setpoint=e.setpoint,objectives={n:e.values[n] for n in self.problem.objective_names}) for e,q in zip(self.data.evaluations,k) if q]
+    """Multi-objective Bayesian optimisation, one set-point at a time ([Roussel2021]_ algo:BO).
+
+    The first `initial_evaluations` set-points come from a space-filling design, every later one from
+    maximising the acquisition function over Gaussian processes of all that was told. What `ask`
+    returns depends on the problem, the settings, the seed and what was told and asked before; asking
+    twice gives the same answer.
+
+    Args:
+        problem: what is tuned.
+        preset: "default", or "paper" for the paper's recipe to the letter.
+        seed: of every random choice, at least 0.
+        overrides: single choices in place of the preset's, see `presets.OptimizerSettings`.
+
+    Raises:
+        ProblemError: a choice is unknown, not allowed or does not suit the problem.
+    """
+
+    def __init__(
+        self, problem: Problem, preset: str = "default", seed: int = 0, **overrides: Any
+    ) -> None:
+        if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+            raise ProblemError(f"seed is {seed!r}; a whole number of at least 0 is allowed")
+        self.problem = problem
+        self.seed = seed
+        self.settings = make_settings(preset, overrides)
+        self._check_settings()
+        self.dataset = Dataset(problem)
+        self._models = Models(problem, self.settings, seed)
+        self._boxes = BoxDecomposition(problem.reference_point)
+        self._hypervolume = 0.0
+        self._last_source: Source = "initial"
+
+    @property
+    def initial_evaluations(self) -> int:
+        """Number of points of the initial design."""
+        return self.settings.initial_evaluations or 2 * (len(self.problem.variables) + 1)
+
+    @property
+    def last_source(self) -> Source:
+        """Where the set-point asked for last came from."""
+        return self._last_source
+
+    @property
+    def hypervolume(self) -> float:
+        """Of the front against the reference point, in the product of the objectives' units."""
+        return self._hypervolume
+
+    def pareto_front(self) -> list[dict[str, Any]]:
+        """Index, set-point and objectives of each point of the front, in their own units.
+
+        Its points are feasible, non-dominated and strictly better than the reference point.
+        """
+        return [
+            {
+                "index": evaluation.index,
+                "setpoint": dict(evaluation.setpoint),
+                "objectives": {n: evaluation.values[n] for n in self.problem.objective_names},
+            }
+            for evaluation in (self.dataset.evaluations[i] for i in self._front_rows())
+        ]
+
+    def tell(
+        self, setpoint: Mapping[str, float], outputs: Mapping[str, Measured | None]
+    ) -> Evaluation:
+        """Learn what was measured at a set-point, which need not have been asked for.
+
+        Args:
+            setpoint: every variable, in physical units.
+            outputs: diagnostics by name; a pair is (mean, standard deviation); NaN, None or missing
+                means that it was not measured, and the evaluation failed where it was needed.
+
+        Raises:
+            ProblemError: the set-point does not fit the problem or an output is no number; nothing
+                is learned.
+        """
+        evaluation = self.dataset.add(setpoint, outputs)
+        if evaluation.feasible:
+            # A sum of what was gained never falls, unlike a volume computed anew, by its last digit.
+            self._hypervolume += self._boxes.add(self.dataset.objectives[-1])
+        return evaluation
+
+    def ask(self) -> dict[str, float]:
+        """The set-point to evaluate next, in physical units and inside the bounds."""
+        told = len(self.dataset)
+        if told < self.initial_evaluations:
+            self._last_source = "initial"
+            return self.problem.denormalize(self._initial_point(told))
+        self._last_source = "model"
+        return self.problem.denormalize(self._candidate())
+
+    # ------------------------------------------------------------------ state
+
+    def get_state(self) -> dict[str, Any]:
+        """All that `from_state` needs to go on with the same suggestions, as plain data for JSON."""
+        return {
+            "version": STATE_VERSION,
+            "problem": self.problem.to_dict(),
+            "settings": self.settings.to_dict(),
+            "seed": self.seed,
+            "evaluations": [
+                {
+                    "setpoint": dict(e.setpoint),
+                    "outputs": {n: [v, e.stddevs[n]] for n, v in e.values.items()},
+                }
+                for e in self.dataset.evaluations
+            ],
+            "hypervolume": self._hypervolume,
+            "models": self._models.get_state(),
+        }
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any]) -> Optimizer:
+        """The optimiser that `get_state` came from; it asks what that one would have asked.
+
+        Raises:
+            ProblemError: the state is of another version or incomplete.
+        """
+        if state.get("version") != STATE_VERSION:
+            raise ProblemError(
+                f"the state is of version {state.get('version')!r}; {STATE_VERSION} is allowed"
+            )
+        try:
+            restored = cls(Problem.from_dict(state["problem"]), seed=state["seed"])
+            restored.settings = OptimizerSettings.from_dict(state["settings"])
+            restored._models = Models(restored.problem, restored.settings, restored.seed)
+            for evaluation in state["evaluations"]:
+                outputs = {n: (pair[0], pair[1]) for n, pair in evaluation["outputs"].items()}
+                restored.tell(evaluation["setpoint"], outputs)
+            restored._hypervolume = float(state["hypervolume"])
+            restored._models.set_state(state["models"], restored.dataset)
+        except KeyError as error:
+            raise ProblemError(f"the state lacks {error}") from None
+        return restored
+
+    def save(self, path: str | Path) -> None:
+        """Write the state to a JSON file, replacing an older one only when it is complete."""
+        partial = Path(f"{path}.partial")
+        partial.write_text(json.dumps(self.get_state()), encoding="utf-8")
+        os.replace(partial, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Optimizer:
+        """Read what `save` wrote.
+
+        Raises:
+            ProblemError: the file cannot be read or holds no state.
+        """
+        try:
+            state = json.loads(Path(path).read_text(encoding="utf-8"))
+        except OSError as error:
+            raise ProblemError(f"the file '{path}' cannot be read: {error.strerror}") from None
+        except ValueError:
+            raise ProblemError(f"the file '{path}' is not JSON") from None
+        if not isinstance(state, dict):
+            raise ProblemError(f"the file '{path}' holds no state of an optimiser")
+        return cls.from_state(state)
+
+    # ------------------------------------------------------------------ candidates
+
+    def _initial_point(self, index: int) -> Array:
+        design = initial_design(
+            self.settings.initial_design,
+            self.initial_evaluations,
+            len(self.problem.variables),
+            self.seed,
+        )
+        return np.asarray(design[index])
+
+    def _candidate(self) -> Array:
+        """The maximum of the acquisition function, shape ``(d,)``; exploration where it is zero."""
+        self._models.update(self.dataset)
+        d = len(self.problem.variables)
+        rng = np.random.default_rng([self.seed, 2, len(self.dataset)])
+        inputs, valid = self.dataset.inputs, self.dataset.valid
+        if self._models.ready:
+            maximizer: Maximizer = _MAXIMIZERS[self.settings.maximizer]()
+            maximum = maximizer.maximize(
+                self._acquisition_function(),
+                d,
+                rng,
+                starts=inputs[self._front_rows()],
+                excluded=inputs[~valid],
+                tolerance=FAILED_TOLERANCE,
+                seconds=self.settings.suggestion_seconds,
+            )
+            if maximum is not None:
+                return maximum.x
+        return _farthest(inputs, d, rng)
+
+    def _acquisition_function(self) -> AcquisitionFunction:
+        """The acquisition function over all that was told, times its factors."""
+        factors: list[AcquisitionFunction] = [
+            ProbabilityOfFeasibility(model, lower, upper)
+            for model, lower, upper in self._models.constraints
+        ]
+        # Without a feasible point there is no front to improve: feasibility comes first.
+        if not factors or self.dataset.feasible.any():
+            factors.insert(0, self._improvement())
+        if self.settings.proximal is not None:
+            factors.append(ProximalBiasing(self.dataset.inputs[-1], self._precision()))
+        return reduce(mul, factors)
+
+    def _improvement(self) -> AcquisitionFunction:
+        settings, models = self.settings, self._models.objectives
+        if settings.acquisition in ("ei", "ucb"):
+            weights = np.array(settings.weights or (1.0,))
+            model = models[0] if len(models) == 1 else WeightedSum(models, weights)
+            sums = self.dataset.objectives[self.dataset.feasible] @ weights
+            if settings.acquisition == "ei":
+                best = (
+                    float(sums.min())
+                    if len(sums)
+                    else float(self.problem.reference_point @ weights)
+                )
+                return ExpectedImprovement(model, best)
+            return UpperConfidenceBound(
+                model, settings.beta, float(self.problem.reference_point @ weights)
+            )
+        lower = self.problem.truncation_lower
+        truncation = (lower, self.problem.reference_point) if np.isfinite(lower).any() else None
+        self._boxes = BoxDecomposition(
+            self.problem.reference_point, self.dataset.objectives[self.dataset.feasible]
+        )
+        if settings.acquisition == "ehvi":
+            return ExpectedHypervolumeImprovement(models, self._boxes, truncation)
+        return UpperConfidenceBoundHypervolumeImprovement(
+            models, self._boxes, settings.beta, truncation
+        )
+
+    def _precision(self) -> ArrayLike:
+        """Precision matrix of proximal biasing, or what stands for it."""
+        if isinstance(self.settings.proximal, str):
+            return np.array([v.cost for v in self.problem.variables])
+        precision: ArrayLike = self.settings.proximal
+        return precision
+
+    def _front_rows(self) -> list[int]:
+        """Indices of the evaluations on the front."""
+        rows = np.flatnonzero(self.dataset.feasible)
+        objectives = self.dataset.objectives[rows]
+        below = is_below(objectives, self.problem.reference_point)
+        rows, objectives = rows[below], objectives[below]
+        return [int(i) for i in rows[is_nondominated(objectives)]]
+
+    def _check_settings(self) -> None:
+        """Refuse settings that do not suit the problem."""
+        settings, n_objectives = self.settings, len(self.problem.objectives)
+        single = settings.acquisition in ("ei", "ucb")
+        if single and n_objectives > 1 and settings.weights is None:
+            raise ProblemError(
+                f"acquisition is '{settings.acquisition}', which needs a single objective or weights"
+            )
+        if settings.weights is not None and (not single or len(settings.weights) != n_objectives):
+            raise ProblemError(
+                f"weights are {settings.weights!r}; one for each of {n_objectives} objectives is "
+                "allowed, with acquisition 'ei' or 'ucb'"
+            )
+        if settings.proximal is None:
+            return
+        if isinstance(settings.proximal, str) and settings.proximal != "costs":
+            raise ProblemError(
+                f"proximal is {settings.proximal!r}; 'costs', a number, one for each variable or a "
+                "matrix is allowed"
+            )
+        try:
+            ProximalBiasing(np.zeros(len(self.problem.variables)), self._precision())
+        except (TypeError, ValueError) as error:
+            raise ProblemError(f"proximal is {settings.proximal!r}: {error}") from None
+
+
+def _farthest(inputs: Array, d: int, rng: np.random.Generator) -> Array:
+    """The quasi-random point farthest from all `inputs` ``(n, d)``, shape ``(d,)``."""
+    points: Array = 2.0 * qmc.Sobol(d, rng=rng).random(_EXPLORED) - 1.0
+    nearest = np.full(len(points), np.inf)
+    for row in inputs:
+        nearest = np.minimum(nearest, np.square(points - row).sum(axis=1))
+    return np.asarray(points[nearest.argmax()])

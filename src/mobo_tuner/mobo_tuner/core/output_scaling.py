@@ -38,7 +38,7 @@ class OutputScaling:
     @classmethod
     def of(
         cls,
-        X: FloatArray,
+        x: FloatArray,
         y: FloatArray,
         *,
         offset: float | None = None,
@@ -46,7 +46,7 @@ class OutputScaling:
         mean: MeanFunction | None = None,
         mean_gradient: MeanFunction | None = None,
     ) -> OutputScaling:
-        """The scaling that suits the observations X `(n, d)`, y `(n,)`; offset None: the data mean.
+        """The scaling that suits the observations x `(n, d)`, y `(n,)`; offset None: the data mean.
 
         Where all residuals are the same, to rounding, nothing says how much the function varies:
         their distance from
@@ -58,7 +58,7 @@ class OutputScaling:
         elif offset is None:
             offset = float(np.mean(values))
         unscaled = cls(log, offset, 1.0, mean, mean_gradient)
-        residuals = values - unscaled.prior_mean(X)
+        residuals = values - unscaled.prior_mean(x)
         magnitude = max(float(np.abs(values).max()), abs(offset))
         negligible = _ROUNDING * magnitude
         centre = float(np.mean(residuals))
@@ -67,86 +67,85 @@ class OutputScaling:
                 return cls(log, offset, scale, mean, mean_gradient)
         return cls(log, offset, 1.0 / len(y), mean, mean_gradient)
 
-    def prior_mean(self, X: FloatArray) -> FloatArray:
-        """The prior mean m(x) at X `(m, d)`, `(m,)`, in units of t(y)."""
+    def prior_mean(self, x: FloatArray) -> FloatArray:
+        """The prior mean m(x) at x `(m, d)`, `(m,)`, in units of t(y)."""
         if self.mean is None:
-            return np.full(len(X), self.offset)
-        values = np.asarray(self.mean(X), dtype=np.float64)
-        if values.shape != (len(X),) or not np.isfinite(values).all():
+            return np.full(len(x), self.offset)
+        values = np.asarray(self.mean(x), dtype=np.float64)
+        if values.shape != (len(x),) or not np.isfinite(values).all():
             raise ValueError(
-                f"the mean function must return {len(X)} finite values, got shape {values.shape}"
+                f"the mean function must return {len(x)} finite values, got shape {values.shape}"
             )
         return values
 
-    def prior_mean_gradient(self, X: FloatArray) -> FloatArray:
-        """Gradient of the prior mean in x at X `(m, d)`, `(m, d)`."""
+    def prior_mean_gradient(self, x: FloatArray) -> FloatArray:
+        """Gradient of the prior mean in x at x `(m, d)`, `(m, d)`."""
         if self.mean is None:
-            return np.zeros_like(X)
+            return np.zeros_like(x)
         if self.mean_gradient is not None:
-            gradient = np.asarray(self.mean_gradient(X), dtype=np.float64)
-            if gradient.shape != X.shape or not np.isfinite(gradient).all():
+            gradient = np.asarray(self.mean_gradient(x), dtype=np.float64)
+            if gradient.shape != x.shape or not np.isfinite(gradient).all():
                 raise ValueError(
-                    f"mean_gradient must return finite values of shape {X.shape}, got {gradient.shape}"
+                    f"mean_gradient must return finite values {x.shape}, got shape {gradient.shape}"
                 )
             return gradient
-        gradient = np.empty_like(X)
-        for a in range(X.shape[1]):
-            step = np.zeros(X.shape[1])
+        gradient = np.empty_like(x)
+        for a in range(x.shape[1]):
+            step = np.zeros(x.shape[1])
             step[a] = _GRADIENT_STEP
-            gradient[:, a] = (self.prior_mean(X + step) - self.prior_mean(X - step)) / (
+            gradient[:, a] = (self.prior_mean(x + step) - self.prior_mean(x - step)) / (
                 2.0 * _GRADIENT_STEP
             )
         return gradient
 
-    def standardise(self, X: FloatArray, y: FloatArray) -> FloatArray:
-        """Residuals z `(n,)` of the observations X `(n, d)`, y `(n,)`."""
-        return ((np.log(y) if self.log else y) - self.prior_mean(X)) / self.scale
+    def standardise(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Residuals z `(n,)` of the observations x `(n, d)`, y `(n,)`."""
+        return ((np.log(y) if self.log else y) - self.prior_mean(x)) / self.scale
 
     def unstandardise(
-        self, X: FloatArray, mean: FloatArray, stddev: FloatArray
+        self, x: FloatArray, mean: FloatArray, stddev: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of t(y) at X `(m, d)` from those of z, `(m,)` each."""
-        return self.prior_mean(X) + self.scale * mean, self.scale * stddev
+        """Mean and standard deviation of t(y) at x `(m, d)` from those of z, `(m,)` each."""
+        return self.prior_mean(x) + self.scale * mean, self.scale * stddev
 
     def noise_variances(self, y: FloatArray, stddev: FloatArray) -> FloatArray:
-        """Variances of z `(n,)` from standard deviations of y; to first order under the logarithm."""
-        relative = stddev / (np.abs(y) if self.log else 1.0) / self.scale
-        return np.minimum(relative * relative, _LARGEST_VARIANCE)
+        """Variances of z `(n,)` from standard deviations of y, to first order for the log."""
+        unit = self.scale * np.abs(y) if self.log else self.scale
+        return np.asarray(np.minimum(np.square(stddev / unit), _LARGEST_VARIANCE))
 
     def log_slope(self, y: FloatArray) -> FloatArray:
         """`log |dz/dy|` `(n,)`, which turns log densities of z into those of y."""
-        return -np.log(self.scale) - (np.log(y) if self.log else np.zeros_like(y))
+        return np.asarray(-np.log(self.scale) - (np.log(y) if self.log else np.zeros_like(y)))
 
-    def moments(self, mean: FloatArray, stddev: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of y, each `(m,)`, from those of t(y).
+    def to_output(self, mean: FloatArray, stddev: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean and standard deviation of y, each `(m,)`, from those of t(y), mu and s.
 
-        Under the logarithm they are the log-normal's, `exp(mu + s^2 / 2)` and that times
-        `sqrt(exp(s^2) - 1)`, so that an acquisition function that takes them for a Gaussian's has
-        the first two moments right.
+        Under the logarithm, the Gaussian that shares the log-normal's median and its quantile one
+        standard deviation below: `exp(mu)` and `exp(mu) (1 - exp(-s))`. An acquisition function of
+        a minimised y looks at that side: expected improvements are right to a fifth for
+        s up to 0.6 and targets down to half a standard deviation below the median, where a Gaussian
+        with the log-normal's mean and variance, swollen by its upper tail, is wrong without limit
+        (by a factor of 6 at s = 1, of 3000 at s = 2.5). The probability
+        to exceed a limit comes out too low: do not transform what has an upper limit to keep.
         """
         if not self.log:
             return mean, stddev
-        variance = np.clip(stddev * stddev, 0.0, _LARGEST_EXPONENT / 2.0)
-        centre = np.exp(np.minimum(mean + 0.5 * variance, _LARGEST_EXPONENT / 2.0))
-        return centre, centre * np.sqrt(np.expm1(variance))
+        median = np.exp(np.minimum(mean, _LARGEST_EXPONENT))
+        return median, -median * np.expm1(-stddev)
 
-    def moment_gradients(
+    def gradients_to_output(
         self,
         mean: FloatArray,
         stddev: FloatArray,
         mean_gradient: FloatArray,
         stddev_gradient: FloatArray,
     ) -> tuple[FloatArray, FloatArray]:
-        """Gradients in x of `moments`, each `(m, d)`, from those of the mean and standard deviation of t(y)."""
+        """Gradients in x of `to_output`, each `(m, d)`, from those of its arguments."""
         if not self.log:
             return mean_gradient, stddev_gradient
-        centre, _ = self.moments(mean, stddev)
-        variance = np.clip(stddev * stddev, 0.0, _LARGEST_EXPONENT / 2.0)
-        centre_gradient = centre[:, None] * (mean_gradient + stddev[:, None] * stddev_gradient)
-        ratio = np.sqrt(np.expm1(variance))
-        ratio_slope = np.where(
-            ratio > 0.0, stddev * np.exp(variance) / np.maximum(ratio, 1e-150), 1.0
+        median, spread = self.to_output(mean, stddev)
+        lower = (median - spread)[:, None]
+        return (
+            median[:, None] * mean_gradient,
+            spread[:, None] * mean_gradient + lower * stddev_gradient,
         )
-        return centre_gradient, ratio[:, None] * centre_gradient + (centre * ratio_slope)[
-            :, None
-        ] * stddev_gradient

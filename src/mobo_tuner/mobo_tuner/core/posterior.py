@@ -23,95 +23,35 @@ class Gradients(NamedTuple):
     stddev: FloatArray
 
 
-class Posterior:
-    """The process given n observations, `[Roussel2021]_` Appendix (sec:regression).
+class TriangularPosterior:
+    """A posterior whose mean is `k(x)^T w` and whose variance is `s^2 - |T k(x)|^2`.
 
-        mu(x)      = k(x)^T K^-1 z
-        sigma(x)^2 = k(x, x) - k(x)^T K^-1 k(x)
-        K_ij       = s^2 (g(r_ij^2) + 1e-10 delta_ij) + noise_i delta_ij
-
-    Holds the inverse of the Cholesky factor of K, so that predictions are products with a triangle.
-    O(n^3) to build, O(n^2) for each further observation.
-
-    Args:
+    Attributes:
         kernel: covariance function of d inputs.
-        shape: its shape parameters `(k,)`.
         variance: signal variance s^2.
-        X: inputs `(n, d)`.
-        z: observations `(n,)`.
-        noise: variances `(n,)` of the observations.
+        factor: `(d, d)`, from inputs to `scaled` ones, see `Kernel.factor`.
+        scaled: the n observations' inputs times the factor, `(n, d)`.
+        inverse: the lower triangle T `(n, n)`, in Fortran order.
+        weights: w `(n,)`.
     """
 
-    def __init__(
-        self,
-        kernel: Kernel,
-        shape: FloatArray,
-        variance: float,
-        X: FloatArray,
-        z: FloatArray,
-        noise: FloatArray,
-    ) -> None:
-        self.kernel, self.shape, self.variance = kernel, shape, variance
-        self.factor = kernel.factor(shape)
-        self._condition(X, z, noise)
+    kernel: Kernel
+    variance: float
+    factor: FloatArray
+    scaled: FloatArray
+    inverse: FloatArray
+    weights: FloatArray
 
-    def _condition(self, X: FloatArray, z: FloatArray, noise: FloatArray) -> None:
-        self.X, self.z, self.noise = X, z, noise
-        self.scaled = X @ self.factor
-        covariance = (
-            self.variance * self.kernel.profile(squared_distances(self.scaled, self.scaled))[0]
-        )
-        covariance.flat[:: len(z) + 1] = self.variance * (1.0 + RELATIVE_JITTER) + noise
-        lower, self.jitter = cholesky(covariance)
-        self.inverse = inverse_triangle(lower)
-        self.weights = self._solve(z)
-        self.factorised = len(z)
-
-    def _solve(self, z: FloatArray) -> FloatArray:
-        half = blas.dtrmv(self.inverse, z, lower=1)
-        return np.asarray(blas.dtrmv(self.inverse, half, lower=1, trans=1))
-
-    def add(self, x: FloatArray, z: FloatArray, noise: FloatArray) -> None:
-        """Take one more observation: x `(1, d)`, z and noise variance `(1,)`.
-
-        A new last row of the factor, O(n^2); a new factorisation, O(n^3), in the rare case that the
-        row is lost to rounding. `factorised` is the number of observations at the last
-        factorisation.
-        """
-        n = len(self.z)
-        X, values, variances = (
-            np.vstack([self.X, x]),
-            np.append(self.z, z),
-            np.append(self.noise, noise),
-        )
+    def predict(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean and standard deviation `(m,)` of the latent function at x `(m, d)`; O(m n^2)."""
         scaled = x @ self.factor
-        row = self.variance * self.kernel.profile(squared_distances(scaled, self.scaled))[0][0]
-        projected = blas.dtrmv(self.inverse, row, lower=1)
-        least = self.variance * RELATIVE_JITTER + self.jitter + float(noise[0])
-        square = self.variance + least - float(projected @ projected)
-        if square < 0.5 * least:
-            self._condition(X, values, variances)
-            return
-        pivot = np.sqrt(square)
-        inverse = np.zeros((n + 1, n + 1), order="F")
-        inverse[:n, :n] = self.inverse
-        inverse[n, :n] = blas.dtrmv(self.inverse, projected, lower=1, trans=1) / -pivot
-        inverse[n, n] = 1.0 / pivot
-        self.X, self.z, self.noise = X, values, variances
-        self.scaled = np.vstack([self.scaled, scaled])
-        self.inverse = inverse
-        self.weights = self._solve(values)
-
-    def predict(self, X: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation `(m,)` of the latent function at X `(m, d)`; O(m n^2)."""
-        scaled = X @ self.factor
         profile, _ = self.kernel.profile(squared_distances(scaled, self.scaled))
         mean, stddev, _ = self._moments(profile)
         return mean, stddev
 
-    def predict_with_gradient(self, X: FloatArray) -> tuple[FloatArray, FloatArray, Gradients]:
+    def predict_with_gradient(self, x: FloatArray) -> tuple[FloatArray, FloatArray, Gradients]:
         """As `predict`, with the gradients in x; about twice the time."""
-        scaled = X @ self.factor
+        scaled = x @ self.factor
         profile, slope = self.kernel.profile(squared_distances(scaled, self.scaled))
         mean, stddev, projected = self._moments(profile)
         # Gradient of k(x, x_i) in the scaled input: s^2 w (scaled_i - scaled).
@@ -135,6 +75,83 @@ class Posterior:
         unexplained = self.variance - np.einsum("ij,ij->j", projected, projected)
         stddev = np.maximum(np.sqrt(np.maximum(unexplained, 0.0)), self._least_stddev)
         return covariance @ self.weights, stddev, projected
+
+
+class Posterior(TriangularPosterior):
+    """The process given n observations, `[Roussel2021]_` Appendix (sec:regression).
+
+        mu(x)      = k(x)^T K^-1 z
+        sigma(x)^2 = k(x, x) - k(x)^T K^-1 k(x)
+        K_ij       = s^2 (g(r_ij^2) + 1e-10 delta_ij) + noise_i delta_ij
+
+    Holds the inverse of the Cholesky factor of K, so that predictions are products with a triangle.
+    O(n^3) to build, O(n^2) for each further observation.
+
+    Args:
+        kernel: covariance function of d inputs.
+        shape: its shape parameters `(k,)`.
+        variance: signal variance s^2.
+        x: inputs `(n, d)`.
+        z: observations `(n,)`.
+        noise: variances `(n,)` of the observations.
+    """
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        shape: FloatArray,
+        variance: float,
+        x: FloatArray,
+        z: FloatArray,
+        noise: FloatArray,
+    ) -> None:
+        self.kernel, self.shape, self.variance = kernel, shape, variance
+        self.factor = kernel.factor(shape)
+        self._condition(x, z, noise)
+
+    def _condition(self, x: FloatArray, z: FloatArray, noise: FloatArray) -> None:
+        self.x, self.z, self.noise = x, z, noise
+        self.scaled = x @ self.factor
+        covariance = (
+            self.variance * self.kernel.profile(squared_distances(self.scaled, self.scaled))[0]
+        )
+        covariance.flat[:: len(z) + 1] = self.variance * (1.0 + RELATIVE_JITTER) + noise
+        lower, self.jitter = cholesky(covariance)
+        self.inverse = inverse_triangle(lower)
+        self.weights = self._solve(z)
+        self.factorised = len(z)
+
+    def _solve(self, z: FloatArray) -> FloatArray:
+        half = blas.dtrmv(self.inverse, z, lower=1)
+        return np.asarray(blas.dtrmv(self.inverse, half, lower=1, trans=1))
+
+    def add(self, x: FloatArray, z: FloatArray, noise: FloatArray) -> None:
+        """Take one more observation: x `(1, d)`, z and noise variance `(1,)`.
+
+        A new last row of the factor, O(n^2); a new factorisation, O(n^3), in the rare case that the
+        row is lost to rounding. `factorised` is the number of observations at the last
+        factorisation.
+        """
+        n = len(self.z)
+        inputs = np.vstack([self.x, x])
+        values, variances = np.append(self.z, z), np.append(self.noise, noise)
+        scaled = x @ self.factor
+        row = self.variance * self.kernel.profile(squared_distances(scaled, self.scaled))[0][0]
+        projected = blas.dtrmv(self.inverse, row, lower=1)
+        least = self.variance * RELATIVE_JITTER + self.jitter + float(noise[0])
+        square = self.variance + least - float(projected @ projected)
+        if square < 0.5 * least:
+            self._condition(inputs, values, variances)
+            return
+        pivot = np.sqrt(square)
+        inverse = np.zeros((n + 1, n + 1), order="F")
+        inverse[:n, :n] = self.inverse
+        inverse[n, :n] = blas.dtrmv(self.inverse, projected, lower=1, trans=1) / -pivot
+        inverse[n, n] = 1.0 / pivot
+        self.x, self.z, self.noise = inputs, values, variances
+        self.scaled = np.vstack([self.scaled, scaled])
+        self.inverse = inverse
+        self.weights = self._solve(values)
 
     def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
         """Excess of each observation over its prediction from all others, and its variance.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -38,7 +38,8 @@ class OptimizerSettings:
         maximizer: how the acquisition function is maximised.
         suggestion_seconds: time budget of one suggestion [s]; None = as long as it takes, which is
             what makes a run reproducible.
-        refit_every: evaluations between two trainings of the hyperparameters.
+        refit_every: valid evaluations between two trainings of the hyperparameters; 0 = every one at
+            first, then whenever there are 4 % more.
         kernel, mean, noise, training, transform, length_scales, variance: of every Gaussian process,
             see `GaussianProcessSettings`.
     """
@@ -51,7 +52,7 @@ class OptimizerSettings:
     proximal: Any = None
     maximizer: MaximizerName = "multi_start"
     suggestion_seconds: float | None = None
-    refit_every: int = 1
+    refit_every: int = 0
     kernel: KernelName = "matern52"
     mean: MeanName | float = "data"
     noise: Literal["learned"] | float = "learned"
@@ -68,9 +69,11 @@ class OptimizerSettings:
         """
         for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
-                raise ProblemError(f"{name} is {getattr(self, name)!r}; allowed are {', '.join(choices)}")
+                raise ProblemError(
+                    f"{name} is {getattr(self, name)!r}; allowed are {', '.join(choices)}"
+                )
         _check_count("initial_evaluations", self.initial_evaluations, 0)
-        _check_count("refit_every", self.refit_every, 1)
+        _check_count("refit_every", self.refit_every, 0)
         if not (isinstance(self.beta, int | float) and 0.0 <= self.beta < np.inf):
             raise ProblemError(f"beta is {self.beta!r}; a number of at least 0 is allowed")
         if self.suggestion_seconds is not None and not self.suggestion_seconds > 0.0:
@@ -78,6 +81,19 @@ class OptimizerSettings:
                 f"suggestion_seconds is {self.suggestion_seconds!r}; a number above 0 is allowed"
             )
         self.gaussian_process  # noqa: B018 - its own checks
+
+    def to_dict(self) -> dict[str, Any]:
+        """The settings as plain data for JSON."""
+        values = asdict(self)
+        if isinstance(self.proximal, np.ndarray):
+            values["proximal"] = self.proximal.tolist()
+        return values
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> OptimizerSettings:
+        """Inverse of `to_dict`, also after a passage through JSON."""
+        tuples = {n: tuple(v) for n, v in values.items() if isinstance(v, list) and n != "proximal"}
+        return cls(**{**values, **tuples})
 
     @property
     def gaussian_process(self) -> GaussianProcessSettings:
@@ -99,6 +115,11 @@ class OptimizerSettings:
             )
         except ValueError as error:
             raise ProblemError(str(error)) from None
+
+
+def _check_count(name: str, value: object, least: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise ProblemError(f"{name} is {value!r}; a whole number of at least {least} is allowed")
 
 
 _CHOICES: dict[str, Sequence[str]] = {
@@ -135,10 +156,7 @@ def make_settings(preset: str, overrides: dict[str, Any]) -> OptimizerSettings:
     names = [field.name for field in fields(OptimizerSettings)]
     for name in overrides:
         if name not in names:
-            raise ProblemError(f"'{name}' is no choice of the optimiser; allowed are {', '.join(names)}")
+            raise ProblemError(
+                f"'{name}' is no choice of the optimiser; allowed are {', '.join(names)}"
+            )
     return replace(PRESETS[preset], **overrides)
-
-
-def _check_count(name: str, value: object, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise ProblemError(f"{name} is {value!r}; a whole number of at least {least} is allowed")

@@ -36,7 +36,7 @@ class NegativeLogPosterior:
 
     Args:
         kernel: covariance function of d inputs.
-        X: normalised inputs `(n, d)`.
+        x: normalised inputs `(n, d)`.
         z: standardised outputs less the prior mean `(n,)`.
         extra: known noise variances `(n,)`, in the units of z squared.
         weak_prior: add the kernel's prior, a log-normal one of the noise around 1e-4, and one of
@@ -44,9 +44,9 @@ class NegativeLogPosterior:
     """
 
     def __init__(
-        self, kernel: Kernel, X: FloatArray, z: FloatArray, extra: FloatArray, weak_prior: bool
+        self, kernel: Kernel, x: FloatArray, z: FloatArray, extra: FloatArray, weak_prior: bool
     ) -> None:
-        self.kernel, self.X, self.z, self.extra, self.weak_prior = kernel, X, z, extra, weak_prior
+        self.kernel, self.x, self.z, self.extra, self.weak_prior = kernel, x, z, extra, weak_prior
         self.log_mean_square = float(np.log(max(float(np.mean(z * z)), 1e-6)))
         shape = kernel.prior()
         self._prior_mean = np.append(shape.mean, [self.log_mean_square, _NOISE_PRIOR[0]])
@@ -56,7 +56,7 @@ class NegativeLogPosterior:
         """Value and gradient `(k + 2,)`; O(n^3 + n^2 d)."""
         n = len(self.z)
         shape, variance, noise = parameters[:-2], np.exp(parameters[-2]), np.exp(parameters[-1])
-        scaled = self.X @ self.kernel.factor(shape)
+        scaled = self.x @ self.kernel.factor(shape)
         profile, slope = self.kernel.profile(squared_distances(scaled, scaled))
         covariance = variance * profile
         diagonal = noise + self.extra
@@ -77,7 +77,7 @@ class NegativeLogPosterior:
         contraction *= slope
         contraction *= variance
         contraction.flat[:: n + 1] = 0.0
-        gradient[:-2] = self.kernel.gradient(shape, self.X, contraction)
+        gradient[:-2] = self.kernel.gradient(shape, self.x, contraction)
         # s^2 dK/ds^2 = K - diagonal spares the traces a matrix product.
         gradient[-2] = 0.5 * (
             n - inverse_diagonal @ diagonal - fit + (weights * weights) @ diagonal
@@ -223,7 +223,7 @@ def train(
     settings: GaussianProcessSettings,
     kernel: Kernel,
     scale: float,
-    X: FloatArray,
+    x: FloatArray,
     z: FloatArray,
     extra: FloatArray,
     former: FloatArray | None,
@@ -239,14 +239,14 @@ def train(
         settings: held values, bounds, kind of training.
         kernel: covariance function of d inputs.
         scale: the output's units in one unit of z.
-        X: normalised inputs `(n, d)`.
+        x: normalised inputs `(n, d)`.
         z: standardised outputs less the prior mean `(n,)`.
         extra: known variances of z `(n,)`.
         former: where to start, from the last training.
         rng: draws the other starts.
         restarts: how many of them.
     """
-    objective = NegativeLogPosterior(kernel, X, z, extra, settings.prior == "weak")
+    objective = NegativeLogPosterior(kernel, x, z, extra, settings.prior == "weak")
     held, free = held_parameters(settings, kernel, scale)
     bounds = objective.bounds(settings.minimum_noise)
     default = objective.default_parameters()

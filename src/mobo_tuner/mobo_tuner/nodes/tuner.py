@@ -302,7 +302,9 @@ class Tuner:
         answer = await self._evaluate(run, setpoint)
         if answer.error_code == _RESULT.CANCELED:
             if not run.interrupted:
-                raise RunError(Tune.Result.MACHINE_ERROR, f"the machine stopped: {answer.error_msg}")
+                raise RunError(
+                    Tune.Result.MACHINE_ERROR, f"the machine stopped: {answer.error_msg}"
+                )
             return
 
         evaluation, hypervolume, on_front = await self._worker.submit(
@@ -391,7 +393,8 @@ class Tuner:
         limit = self._parameters["max_consecutive_failures"]
         if run.consecutive_failures >= limit:
             raise RunError(
-                Tune.Result.MACHINE_ERROR, f"{limit} evaluations failed in a row: {message.error_msg}"
+                Tune.Result.MACHINE_ERROR,
+                f"{limit} evaluations failed in a row: {message.error_msg}",
             )
 
     # ------------------------------------------------------------------ small things
@@ -432,7 +435,9 @@ def _journal_record(message: msg.Evaluation, source: str) -> dict:
         "stamp": seconds(message.stamp),
         "setpoint": values_of(message.setpoint),
         "readbacks": values_of(message.readbacks),
-        "diagnostics": {name: list(pair) for name, pair in measurements_of(message.diagnostics).items()},
+        "diagnostics": {
+            name: list(pair) for name, pair in measurements_of(message.diagnostics).items()
+        },
         "valid": message.valid,
         "feasible": message.feasible,
         "error_code": message.error_code,

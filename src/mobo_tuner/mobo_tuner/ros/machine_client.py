@@ -133,9 +133,7 @@ class MachineClient:
         """Wait for `future`; None when interrupted."""
         started = time.monotonic()
         while True:
-            patience = min(
-                self._heard + self._silence_timeout, started + self._evaluation_timeout
-            )
+            patience = min(self._heard + self._silence_timeout, started + self._evaluation_timeout)
             remaining = patience - time.monotonic()
             if remaining <= 0.0:
                 waited = time.monotonic() - self._heard

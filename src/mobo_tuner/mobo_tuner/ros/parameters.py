@@ -44,9 +44,7 @@ class ParameterSpec:
             if not isinstance(value, str):
                 raise ProblemError(f"{name} must be {self.type_name}, not {value!r}")
             if self.choices and value not in self.choices:
-                raise ProblemError(
-                    f"{name} is {value!r}; allowed are {', '.join(self.choices)}"
-                )
+                raise ProblemError(f"{name} is {value!r}; allowed are {', '.join(self.choices)}")
             return value
         whole = isinstance(self.default, int)
         if not isinstance(value, int if whole else int | float) or not math.isfinite(value):

@@ -44,9 +44,7 @@ class ManagedNode(Protocol):
         """Release everything; called once, last, whatever happened."""
 
 
-def run_node(
-    create: Callable[[Executor], ManagedNode], args: Sequence[str] | None = None
-) -> int:
+def run_node(create: Callable[[Executor], ManagedNode], args: Sequence[str] | None = None) -> int:
     """Run one node until it is finished or a signal asks it to stop.
 
     Every call of rclpy happens on this thread. The first SIGINT or SIGTERM stops the node in an

@@ -1,0 +1,408 @@
+"""Acquisition functions over normalised inputs, multiplied together as logarithms.
+
+An acquisition function alpha(x) >= 0 says how promising a candidate x in [-1, 1]^d is, in terms of
+the models' predictions. What biases it (constraints, proximal biasing) multiplies it, and any two
+can be multiplied:
+
+    candidate_value = ExpectedHypervolumeImprovement(models, front) * ProbabilityOfFeasibility(...)
+
+Values are logarithms throughout: a product of many small numbers neither underflows nor loses its
+gradient. Where alpha is exactly zero, its logarithm is minus infinity and the gradient zero.
+
+Every objective is minimised, so that the formulas of the paper for maximisation are turned round.
+
+.. [Roussel2021] R. Roussel, A. Hanuka, A. Edelen, "Multiobjective Bayesian optimization for online
+   accelerator tuning", Phys. Rev. Accel. Beams 24, 062801 (2021).
+.. [Srinivas2010] N. Srinivas, A. Krause, S. M. Kakade, M. Seeger, "Gaussian process optimization in
+   the bandit setting: no regret and experimental design", ICML (2010).
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import erfcx, ndtr
+
+from mobo_tuner.core.hypervolume import BoxDecomposition
+from mobo_tuner.core.pareto import FloatArray, as_points
+
+_LOG_DENSITY_AT_ZERO = -0.5 * math.log(2.0 * math.pi)
+_SERIES_BELOW = -100.0
+
+
+class Model(Protocol):
+    """A prediction of one quantity: independent normal distributions at normalised inputs."""
+
+    def predict(self, X: FloatArray, /) -> tuple[FloatArray, FloatArray]:  # noqa: N803
+        """Return mean and standard deviation, `(m, d) -> (m,), (m,)`, in the quantity's units."""
+        ...
+
+    def predict_with_gradient(
+        self,
+        X: FloatArray,  # noqa: N803
+        /,
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return mean, standard deviation and their gradients, `(m,), (m,), (m, d), (m, d)`."""
+        ...
+
+
+class Predictions:
+    """The predictions of models at one batch of inputs: each model is asked once.
+
+    Attributes:
+        inputs: `(m, d)`.
+    """
+
+    def __init__(self, inputs: ArrayLike) -> None:
+        self.inputs = as_points(inputs, "inputs")
+        self._moments: dict[int, tuple[FloatArray, FloatArray]] = {}
+        self._gradients: dict[int, tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = {}
+
+    def of(self, model: Model) -> tuple[FloatArray, FloatArray]:
+        """Return mean and standard deviation, `(m,)` each."""
+        key = id(model)
+        if key not in self._moments:
+            self._moments[key] = model.predict(self.inputs)
+        return self._moments[key]
+
+    def with_gradient(self, model: Model) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return mean, standard deviation, `(m,)` each, and their gradients, `(m, d)` each."""
+        key = id(model)
+        if key not in self._gradients:
+            self._gradients[key] = model.predict_with_gradient(self.inputs)
+        return self._gradients[key]
+
+
+class AcquisitionFunction(ABC):
+    """The logarithm of a function alpha(x) >= 0; two of them multiply to a third with `*`."""
+
+    def log_value(self, inputs: ArrayLike) -> FloatArray:
+        """Return log alpha, `(m, d) -> (m,)`; minus infinity where alpha is zero."""
+        return self.log_value_from(Predictions(inputs))
+
+    def log_value_with_gradient(self, inputs: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return log alpha and its gradient, `(m, d) -> (m,), (m, d)`; zero where alpha is zero."""
+        return self.log_value_with_gradient_from(Predictions(inputs))
+
+    @abstractmethod
+    def log_value_from(self, predictions: Predictions) -> FloatArray:
+        """Return log alpha `(m,)` at the inputs of `predictions`."""
+
+    @abstractmethod
+    def log_value_with_gradient_from(
+        self, predictions: Predictions
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return log alpha `(m,)` and its gradient `(m, d)` at the inputs of `predictions`."""
+
+    def __mul__(self, other: AcquisitionFunction) -> Product:
+        """Return the product of the two, which shares the models' predictions between them."""
+        return Product([self, other])
+
+
+class Product(AcquisitionFunction):
+    """The product of acquisition functions and factors, `[Roussel2021]_` alpha-hat, alpha-tilde."""
+
+    def __init__(self, factors: Sequence[AcquisitionFunction]) -> None:
+        if not factors:
+            raise ValueError("factors must hold at least one acquisition function")
+        self._factors = tuple(factors)
+
+    def log_value_from(self, predictions: Predictions) -> FloatArray:
+        """Sum the factors' logarithms."""
+        total = np.zeros(len(predictions.inputs))
+        for factor in self._factors:
+            total += factor.log_value_from(predictions)
+        return total
+
+    def log_value_with_gradient_from(
+        self, predictions: Predictions
+    ) -> tuple[FloatArray, FloatArray]:
+        """Sum the factors' logarithms and their gradients."""
+        total = np.zeros(len(predictions.inputs))
+        total_gradient = np.zeros_like(predictions.inputs)
+        for factor in self._factors:
+            log_value, gradient = factor.log_value_with_gradient_from(predictions)
+            total += log_value
+            total_gradient += gradient
+        total_gradient[np.isneginf(total)] = 0.0
+        return total, total_gradient
+
+
+class ExpectedImprovement(AcquisitionFunction):
+    """E[max(best - f, 0)], `[Roussel2021]_` alpha_EI, finite in the logarithm at any distance."""
+
+    def __init__(self, model: Model, best: float) -> None:
+        """Set the value to improve on.
+
+        Args:
+            model: of the minimised objective.
+            best: lowest value so far, in the objective's units.
+        """
+        self._model = model
+        self._best = _finite(best, "best")
+
+    def log_value_from(self, predictions: Predictions) -> FloatArray:
+        """Return log alpha `(m,)`."""
+        return self._from_moments(*predictions.of(self._model))[0]
+
+    def log_value_with_gradient_from(
+        self, predictions: Predictions
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return log alpha `(m,)` and its gradient `(m, d)`."""
+        mean, stddev, mean_gradient, stddev_gradient = predictions.with_gradient(self._model)
+        log_value, by_mean, by_stddev = self._from_moments(mean, stddev)
+        return log_value, by_mean[:, None] * mean_gradient + by_stddev[:, None] * stddev_gradient
+
+    def _from_moments(
+        self, mean: FloatArray, stddev: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return log alpha and its derivatives in mean and stddev, `(m,)` each.
+
+        With z = (best - mean) / stddev, alpha = stddev h(z), h(z) = phi(z) + z Phi(z), h' = Phi.
+        """
+        gain = self._best - mean
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            z = gain / stddev
+            log_h, slope = _log_expected_shortfall(z)
+            log_value = np.log(stddev) + log_h
+            by_mean = -slope / stddev
+            by_stddev = (1.0 - z * slope) / stddev
+            certain = ~np.isfinite(log_value + by_mean + by_stddev)
+            log_gain = np.where(gain > 0.0, np.log(np.maximum(gain, 0.0)), -np.inf)
+            by_gain = np.where(gain > 0.0, -1.0 / gain, 0.0)
+        return (
+            np.where(certain, log_gain, log_value),
+            np.where(certain, by_gain, by_mean),
+            np.where(certain, 0.0, by_stddev),
+        )
+
+
+class UpperConfidenceBound(AcquisitionFunction):
+    """max(reference - (mean - sqrt(beta) stddev), 0), `[Roussel2021]_` alpha_UCB for minimisation.
+
+    The paper's function has no zero, which a product with a probability needs. Here it is measured
+    from a reference, above which a value is worth nothing: the largest value is where it was. It is
+    the UCB-HVI of one objective with an empty front.
+    """
+
+    def __init__(self, model: Model, beta: float, reference: float) -> None:
+        """Set exploration and reference.
+
+        Args:
+            model: of the minimised objective.
+            beta: at least zero; more explores more.
+            reference: in the objective's units, above what is hoped for: the best value so far
+                looks only for improvements, the largest so far looks everywhere.
+        """
+        self._model = model
+        self._width = math.sqrt(_at_least_zero(beta, "beta"))
+        self._reference = _finite(reference, "reference")
+
+    def log_value_from(self, predictions: Predictions) -> FloatArray:
+        """Return log alpha `(m,)`."""
+        mean, stddev = predictions.of(self._model)
+        return _log(self._reference - (mean - self._width * stddev))
+
+    def log_value_with_gradient_from(
+        self, predictions: Predictions
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return log alpha `(m,)` and its gradient `(m, d)`."""
+        mean, stddev, mean_gradient, stddev_gradient = predictions.with_gradient(self._model)
+        value = self._reference - (mean - self._width * stddev)
+        return _log_with_gradient(value, self._width * stddev_gradient - mean_gradient)
+
+
+class _HypervolumeAcquisition(AcquisitionFunction):
+    """What the acquisition functions on the hypervolume share: models, front, truncation box."""
+
+    def __init__(
+        self,
+        models: Sequence[Model],
+        decomposition: BoxDecomposition,
+        truncation: tuple[ArrayLike, ArrayLike] | None,
+    ) -> None:
+        reference = decomposition.reference
+        if len(models) != len(reference):
+            raise ValueError(
+                f"models must be one for each of {len(reference)} objectives, not {len(models)}"
+            )
+        self._models = tuple(models)
+        self._decomposition = decomposition
+        self._lower: FloatArray | None = None
+        if truncation is not None:
+            lower, upper = (np.asarray(corner, dtype=np.float64) for corner in truncation)
+            if not np.array_equal(upper, reference):
+                raise ValueError(
+                    f"truncation must end at B = {reference}, the reference point, not at {upper}"
+                )
+            if lower.shape != upper.shape or not (lower < upper).all():
+                raise ValueError(f"truncation must have A < B in every objective, not A = {lower}")
+            self._lower = lower
+
+    def _moments(self, predictions: Predictions) -> tuple[FloatArray, FloatArray]:
+        """Return mean and standard deviation, `(m, P)` each."""
+        moments = [predictions.of(model) for model in self._models]
+        return _columns([mean for mean, _ in moments]), _columns([stddev for _, stddev in moments])
+
+    def _moments_with_gradient(
+        self, predictions: Predictions
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return mean and standard deviation, `(m, P)` each, and gradients, `(m, P, d)` each."""
+        moments = [predictions.with_gradient(model) for model in self._models]
+        mean, stddev, mean_gradient, stddev_gradient = (
+            _columns(list(each)) for each in zip(*moments, strict=True)
+        )
+        return mean, stddev, mean_gradient, stddev_gradient
+
+
+class ExpectedHypervolumeImprovement(_HypervolumeAcquisition):
+    """EHVI, exact for any number of objectives: `[Roussel2021]_` Eq. (eqn:EHVI) and alpha_TEHVI."""
+
+    def __init__(
+        self,
+        models: Sequence[Model],
+        decomposition: BoxDecomposition,
+        truncation: tuple[ArrayLike, ArrayLike] | None = None,
+    ) -> None:
+        """Set models and front.
+
+        Args:
+            models: P of them, of the minimised objectives.
+            decomposition: of the front; points added later count.
+            truncation: the box (A, B), `(P,)` each, inside which a prediction is credited. B must
+                be the reference point of `decomposition`, A may hold minus infinity.
+
+        Raises:
+            ValueError: if numbers of objectives differ or the box does not fit.
+        """
+        super().__init__(models, decomposition, truncation)
+
+    def log_value_from(self, predictions: Predictions) -> FloatArray:
+        """Return log alpha `(m,)`."""
+        mean, stddev = self._moments(predictions)
+        return _log(self._decomposition.expected_improvement(mean, stddev, self._lower))
+
+    def log_value_with_gradient_from(
+        self, predictions: Predictions
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return log alpha `(m,)` and its gradient `(m, d)`."""
+        mean, stddev, mean_gradient, stddev_gradient = self._moments_with_gradient(predictions)
+        value, by_mean, by_stddev = self._decomposition.expected_improvement_with_gradient(
+            mean, stddev, self._lower
+        )
+        gradient = np.einsum("mp,mpd->md", by_mean, mean_gradient)
+        gradient += np.einsum("mp,mpd->md", by_stddev, stddev_gradient)
+        return _log_with_gradient(value, gradient)
+
+
+class UpperConfidenceBoundHypervolumeImprovement(_HypervolumeAcquisition):
+    """UCB-HVI: the improvement by mean - sqrt(beta) stddev, `[Roussel2021]_` alpha_UCB-HVI.
+
+    With a truncation box it is zero where that optimistic point leaves the box (alpha_TUCB-HVI).
+    """
+
+    def __init__(
+        self,
+        models: Sequence[Model],
+        decomposition: BoxDecomposition,
+        beta: float,
+        truncation: tuple[ArrayLike, ArrayLike] | None = None,
+    ) -> None:
+        """Set models, front and exploration.
+
+        Args:
+            models: P of them, of the minimised objectives.
+            decomposition: of the front; points added later count.
+            beta: at least zero; more explores more.
+            truncation: as for `ExpectedHypervolumeImprovement`.
+
+        Raises:
+            ValueError: if numbers of objectives differ, the box does not fit or beta is negative.
+        """
+        super().__init__(models, decomposition, truncation)
+        self._width = math.sqrt(_at_least_zero(beta, "beta"))
+
+    def log_value_from(self, predictions: Predictions) -> FloatArray:
+        """Return log alpha `(m,)`."""
+        mean, stddev = self._moments(predictions)
+        return _log(self._decomposition.improvement(mean - self._width * stddev, self._lower))
+
+    def log_value_with_gradient_from(
+        self, predictions: Predictions
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return log alpha `(m,)` and its gradient `(m, d)`."""
+        mean, stddev, mean_gradient, stddev_gradient = self._moments_with_gradient(predictions)
+        value, by_point = self._decomposition.improvement_with_gradient(
+            mean - self._width * stddev, self._lower
+        )
+        point_gradient = mean_gradient - self._width * stddev_gradient
+        return _log_with_gradient(value, np.einsum("mp,mpd->md", by_point, point_gradient))
+
+
+def beta_schedule(n_evaluations: int, n_variables: int, delta: float = 0.1) -> float:
+    """Return 2 log(d t^2 pi^2 / (6 delta)), a beta that grows with the evaluations t.
+
+    `[Srinivas2010]_` Theorem 1, with the number of variables d in place of the number of candidates
+    there. Fits UCB; values are far above the 0.01 of `[Roussel2021]_`.
+    """
+    if n_evaluations < 1 or n_variables < 1 or not 0.0 < delta < 1.0:
+        raise ValueError(
+            "n_evaluations and n_variables must be at least 1 and delta between 0 and 1, not "
+            f"{n_evaluations}, {n_variables} and {delta}"
+        )
+    return 2.0 * math.log(n_variables * n_evaluations**2 * math.pi**2 / (6.0 * delta))
+
+
+def _log_expected_shortfall(z: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return log h(z) and its derivative Phi/h, h(z) = phi(z) + z Phi(z), for any z `(m,)`.
+
+    In the left tail h/phi = 1 - |z| M with the Mills ratio M = Phi/phi, and far out its series.
+    """
+    tail = np.minimum(z, -1.0)
+    mills = math.sqrt(0.5 * math.pi) * erfcx(-tail * math.sqrt(0.5))
+    ratio = 1.0 + tail * mills
+    inverse = 1.0 / (tail * tail)
+    series = inverse * (1.0 - 3.0 * inverse * (1.0 - 5.0 * inverse * (1.0 - 7.0 * inverse)))
+    ratio = np.where(tail < _SERIES_BELOW, series, ratio)
+    log_tail = _LOG_DENSITY_AT_ZERO - 0.5 * tail * tail + np.log(ratio)
+
+    body = np.maximum(z, -1.0)
+    mass = ndtr(body)
+    h = np.exp(_LOG_DENSITY_AT_ZERO - 0.5 * body * body) + body * mass
+    in_tail = z < -1.0
+    return np.where(in_tail, log_tail, np.log(h)), np.where(in_tail, mills / ratio, mass / h)
+
+
+def _log(value: FloatArray) -> FloatArray:
+    """Return the logarithm of the positive part."""
+    with np.errstate(divide="ignore"):
+        log_value: FloatArray = np.log(np.maximum(value, 0.0))
+    return log_value
+
+
+def _log_with_gradient(value: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the logarithm of the positive part `(m,)` and its gradient `(m, d)`."""
+    positive = (value > 0.0)[:, None]
+    divisor = np.where(positive, value[:, None], 1.0)
+    return _log(value), np.where(positive, gradient / divisor, 0.0)
+
+
+def _columns(arrays: Sequence[FloatArray]) -> FloatArray:
+    return np.stack(arrays, axis=1)
+
+
+def _finite(value: float, name: str) -> float:
+    if not math.isfinite(value):
+        raise ValueError(f"{name} must be finite, not {value}")
+    return float(value)
+
+
+def _at_least_zero(value: float, name: str) -> float:
+    if not 0.0 <= value < math.inf:
+        raise ValueError(f"{name} must be finite and at least 0, not {value}")
+    return float(value)

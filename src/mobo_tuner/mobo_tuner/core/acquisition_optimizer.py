@@ -1,0 +1,351 @@
+"""Maximising an acquisition function over the box [-1, 1]^d.
+
+An acquisition function is cheap next to a measurement but not smooth: far from every interesting
+region it is zero, and it has many separate peaks. `ParticleSwarm` is what the paper used;
+`MultiStart` follows gradients from starts that are spread out, and finds much more.
+
+.. [Biscani2020] F. Biscani, D. Izzo, "A parallel global multiobjective framework for optimization:
+   pagmo", Journal of Open Source Software 5, 2338 (2020).
+.. [Roussel2021] R. Roussel, A. Hanuka, A. Edelen, "Multiobjective Bayesian optimization for online
+   accelerator tuning", Phys. Rev. Accel. Beams 24, 062801 (2021).
+.. [Igel2003] C. Igel, M. Huesken, "Empirical evaluation of the improved Rprop learning algorithms",
+   Neurocomputing 50, 105-123 (2003).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import minimize
+from scipy.stats import qmc
+
+from mobo_tuner.core.acquisition import AcquisitionFunction
+from mobo_tuner.core.pareto import FloatArray
+
+_CHUNK = 64
+_WORSE_THAN_ANY_START = 1e4
+
+
+@dataclass(frozen=True)
+class Maximum:
+    """The best candidate that was found.
+
+    Attributes:
+        x: `(d,)`, inside [-1, 1]^d.
+        log_value: logarithm of the acquisition function there, finite.
+        complete: false if the time budget cut the search short.
+    """
+
+    x: FloatArray
+    log_value: float
+    complete: bool
+
+
+class Maximizer(Protocol):
+    """What `ParticleSwarm` and `MultiStart` have in common."""
+
+    def maximize(
+        self,
+        acquisition: AcquisitionFunction,
+        n_variables: int,
+        rng: np.random.Generator,
+        *,
+        starts: ArrayLike | None = None,
+        excluded: ArrayLike | None = None,
+        tolerance: float = 1e-6,
+        seconds: float | None = None,
+    ) -> Maximum | None:
+        """Look for the largest value of an acquisition function.
+
+        Args:
+            acquisition: what to maximise.
+            n_variables: d, at least 1.
+            rng: source of all randomness; the same state gives the same result, unless a time
+                budget cuts the search short.
+            starts: `(k, d)` promising points, such as the set-points of the Pareto front.
+            excluded: `(k, d)` points that must not be proposed, such as failed evaluations.
+            tolerance: largest difference in any variable to an excluded point that still counts as
+                the same point; variables span 2.
+            seconds: time budget [s], None for no limit. The first few points are evaluated whatever
+                it is.
+
+        Returns:
+            The best candidate, or None if the acquisition function was zero wherever it was
+            evaluated. Then something else has to say where to go, exploration for instance.
+
+        Raises:
+            ValueError: if an argument does not fit.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class ParticleSwarm:
+    """Generational particle swarm, as in `[Roussel2021]_`: 64 individuals, 10 generations.
+
+    Velocities follow the canonical rule with constriction; every particle is drawn to its own best
+    point and to the best of its neighbours on a ring. The coefficients are the defaults of the
+    paper's tool `[Biscani2020]_`.
+
+    Attributes:
+        population: particles; `starts` take the places of the first of them, at most half.
+        generations: moves of the whole swarm.
+        constriction: factor of the velocity.
+        attraction: weight of both attractors.
+        largest_step: in any variable, as a share of its range.
+        neighbours: on the ring, half of them to either side.
+    """
+
+    population: int = 64
+    generations: int = 10
+    constriction: float = 0.7298
+    attraction: float = 2.05
+    largest_step: float = 0.5
+    neighbours: int = 4
+
+    def maximize(
+        self,
+        acquisition: AcquisitionFunction,
+        n_variables: int,
+        rng: np.random.Generator,
+        *,
+        starts: ArrayLike | None = None,
+        excluded: ArrayLike | None = None,
+        tolerance: float = 1e-6,
+        seconds: float | None = None,
+    ) -> Maximum | None:
+        """Look for the largest value, see `Maximizer.maximize`."""
+        search = _Search(acquisition, n_variables, excluded, tolerance, seconds)
+        seeds = _as_rows(starts, "starts", n_variables)
+        return search.run(lambda: self._swarm(search, seeds, rng))
+
+    def _swarm(self, search: _Search, seeds: FloatArray, rng: np.random.Generator) -> None:
+        shape = (self.population, search.n_variables)
+        fastest = 2.0 * self.largest_step
+        x = rng.uniform(-1.0, 1.0, shape)
+        velocity = rng.uniform(-fastest, fastest, shape)
+        if len(seeds):
+            kept = rng.permutation(len(seeds))[: self.population // 2]
+            x[: len(kept)] = np.clip(seeds[kept], -1.0, 1.0)
+        own_best, own_value = x.copy(), search.values(x)
+        reach = np.arange(-(self.neighbours // 2), self.neighbours // 2 + 1)
+        ring = (np.arange(self.population)[:, None] + reach) % self.population
+        for _ in range(self.generations):
+            best_of_ring = own_best[ring[np.arange(len(ring)), own_value[ring].argmax(axis=1)]]
+            to_own = self.attraction * rng.random(shape) * (own_best - x)
+            to_ring = self.attraction * rng.random(shape) * (best_of_ring - x)
+            velocity = self.constriction * (velocity + to_own + to_ring)
+            velocity = np.clip(velocity, -fastest, fastest)
+            moved = x + velocity
+            x = np.clip(moved, -1.0, 1.0)
+            velocity[x != moved] = 0.0
+            value = search.values(x)
+            better = value > own_value
+            own_best[better], own_value[better] = x[better], value[better]
+
+
+@dataclass(frozen=True)
+class MultiStart:
+    """Gradient ascent from many starts that are far from each other.
+
+    The best points by value alone all lie in one basin. Therefore the screened points are thinned
+    out before a few steps of all of them together (adaptive steps along the sign of the gradient
+    `[Igel2003]_`, so that scales do not matter), and thinned out again before the best few are
+    finished by L-BFGS-B, on the logarithm of the acquisition function.
+
+    Attributes:
+        screened: quasi-random points over the whole box, rounded up to a power of two.
+        screened_nearby: random points around `starts`.
+        nearby: standard deviation of these, in a range of 2.
+        far_starts: starts kept of the quasi-random points, `far_apart` from each other.
+        near_starts: starts kept of the points around `starts`, `near_apart` from each other.
+        far_apart: smallest distance in the largest component.
+        near_apart: smallest distance in the largest component.
+        steps: common steps of all starts.
+        finished: starts that L-BFGS-B finishes.
+        iterations: of each L-BFGS-B.
+    """
+
+    screened: int = 512
+    screened_nearby: int = 128
+    nearby: float = 0.15
+    far_starts: int = 16
+    near_starts: int = 8
+    far_apart: float = 0.5
+    near_apart: float = 0.1
+    steps: int = 8
+    finished: int = 4
+    iterations: int = 30
+
+    def maximize(
+        self,
+        acquisition: AcquisitionFunction,
+        n_variables: int,
+        rng: np.random.Generator,
+        *,
+        starts: ArrayLike | None = None,
+        excluded: ArrayLike | None = None,
+        tolerance: float = 1e-6,
+        seconds: float | None = None,
+    ) -> Maximum | None:
+        """Look for the largest value, see `Maximizer.maximize`."""
+        search = _Search(acquisition, n_variables, excluded, tolerance, seconds)
+        seeds = _as_rows(starts, "starts", n_variables)
+        return search.run(lambda: self._climb(search, seeds, rng))
+
+    def _climb(self, search: _Search, seeds: FloatArray, rng: np.random.Generator) -> None:
+        d = search.n_variables
+        x = np.empty((0, d))
+        if len(seeds):
+            origins = seeds[rng.integers(len(seeds), size=self.screened_nearby)]
+            around = origins + self.nearby * rng.standard_normal(origins.shape)
+            around = np.clip(around, -1.0, 1.0)
+            x = _spread_out(around, search.values(around), self.near_starts, self.near_apart)[0]
+        spread = qmc.Sobol(d, rng=rng).random_base2(math.ceil(math.log2(self.screened)))
+        spread = 2.0 * spread - 1.0
+        far = _spread_out(spread, search.values(spread), self.far_starts, self.far_apart)[0]
+        x = np.vstack([far, x])
+        if len(x) == 0:
+            return
+        best, values = self._climb_together(search, x)
+        best, values = _spread_out(best, values, self.finished, self.near_apart)
+        for start, value in zip(best, values, strict=True):
+            self._finish(search, start, value)
+
+    def _climb_together(self, search: _Search, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Step all starts along the signs of their gradients; return each one's best and its value.
+
+        A component's step grows while its sign stays and shrinks when it turns.
+        """
+        best, best_value = x.copy(), np.full(len(x), -np.inf)
+        step = np.full(x.shape, 0.05)
+        last_sign = np.zeros_like(x)
+        for _ in range(self.steps + 1):
+            value, gradient = search.values_with_gradient(x)
+            better = value > best_value
+            best[better], best_value[better] = x[better], value[better]
+            sign = np.sign(gradient)
+            turned = sign * last_sign
+            step = np.where(turned > 0.0, 1.4 * step, np.where(turned < 0.0, 0.4 * step, step))
+            step = np.clip(step, 1e-6, 0.4)
+            x = np.clip(x + sign * step, -1.0, 1.0)
+            last_sign = np.where(turned < 0.0, 0.0, sign)
+        return best, best_value
+
+    def _finish(self, search: _Search, start: FloatArray, start_value: float) -> None:
+        def descend(x: FloatArray) -> tuple[float, FloatArray]:
+            value, gradient = search.values_with_gradient(x[None])
+            if np.isneginf(value[0]):  # a finite wall, from which the line search turns back
+                return _WORSE_THAN_ANY_START, np.zeros_like(x)
+            return start_value - value[0], -gradient[0]
+
+        minimize(
+            descend,
+            start,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=[(-1.0, 1.0)] * len(start),
+            options={"maxiter": self.iterations, "maxfun": self.iterations + 10},
+        )
+
+
+class _OutOfTimeError(Exception):
+    """The time budget is spent."""
+
+
+class _Search:
+    """Evaluates an acquisition function, watches the clock and keeps the best allowed candidate."""
+
+    def __init__(
+        self,
+        acquisition: AcquisitionFunction,
+        n_variables: int,
+        excluded: ArrayLike | None,
+        tolerance: float,
+        seconds: float | None,
+    ) -> None:
+        if n_variables < 1:
+            raise ValueError(f"n_variables must be at least 1, not {n_variables}")
+        if not tolerance >= 0.0:
+            raise ValueError(f"tolerance must be at least 0, not {tolerance}")
+        if seconds is not None and not seconds >= 0.0:
+            raise ValueError(f"seconds must be at least 0 or None, not {seconds}")
+        self.n_variables = n_variables
+        self._acquisition = acquisition
+        self._excluded = _as_rows(excluded, "excluded", n_variables)
+        self._tolerance = tolerance
+        self._deadline = math.inf if seconds is None else time.monotonic() + seconds
+        self._started = False
+        self._best: FloatArray | None = None
+        self._best_value = -math.inf
+
+    def run(self, method: Callable[[], None]) -> Maximum | None:
+        """Run `method` to its end or to the deadline, and return the best candidate."""
+        complete = True
+        try:
+            method()
+        except _OutOfTimeError:
+            complete = False
+        if self._best is None:
+            return None
+        return Maximum(self._best, self._best_value, complete)
+
+    def values(self, x: FloatArray) -> FloatArray:
+        """Return the values `(m,)`, minus infinity at excluded points."""
+        values = [np.empty(0)]
+        for i in range(0, len(x), _CHUNK):
+            self._check_time()
+            chunk = x[i : i + _CHUNK]
+            values.append(self._allow(chunk, self._acquisition.log_value(chunk)))
+        return np.concatenate(values)
+
+    def values_with_gradient(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the values `(m,)` as `values` does, and their gradients `(m, d)`."""
+        self._check_time()
+        value, gradient = self._acquisition.log_value_with_gradient(x)
+        return self._allow(x, value), gradient
+
+    def _check_time(self) -> None:
+        if self._started and time.monotonic() > self._deadline:
+            raise _OutOfTimeError
+        self._started = True
+
+    def _allow(self, x: FloatArray, value: FloatArray) -> FloatArray:
+        """Rule out excluded points and values that are no number, and note the best."""
+        allowed = np.where(np.isnan(value), -np.inf, value)
+        for point in self._excluded:
+            allowed[(np.abs(x - point) <= self._tolerance).all(axis=1)] = -np.inf
+        i = int(allowed.argmax())
+        if allowed[i] > self._best_value:
+            self._best, self._best_value = x[i].copy(), float(allowed[i])
+        return allowed
+
+
+def _spread_out(
+    x: FloatArray, values: FloatArray, count: int, apart: float
+) -> tuple[FloatArray, FloatArray]:
+    """Choose at most `count` rows, best value first, that differ by `apart` in some component."""
+    chosen: list[int] = []
+    for i in np.argsort(-values, kind="stable"):
+        if len(chosen) == count or np.isneginf(values[i]):
+            break
+        if (np.abs(x[chosen] - x[i]).max(axis=1, initial=0.0) > apart).all():
+            chosen.append(int(i))
+    return x[chosen], values[chosen]
+
+
+def _as_rows(values: ArrayLike | None, name: str, n_variables: int) -> FloatArray:
+    if values is None or np.size(values) == 0:
+        return np.empty((0, n_variables))
+    rows = np.array(values, dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] != n_variables:
+        raise ValueError(f"{name} must have shape (k, {n_variables}), not {rows.shape}")
+    if not np.isfinite(rows).all():
+        raise ValueError(f"{name} must be finite")
+    return rows

@@ -1,0 +1,249 @@
+"""The probability that an evaluation is valid: not failed, not missing, not NaN.
+
+A Gaussian process classifier: a latent Gaussian process f, prior mean m, and
+
+    p(valid | x) = Phi(f(x))
+
+with the Gaussian cumulative distribution function Phi, its posterior by Laplace's approximation,
+`[Rasmussen2006]_` sections 3.4 to 3.6 and 5.5.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import lapack
+from scipy.special import log_ndtr, ndtri
+
+from mobo_tuner.core.kernels import Kernel, Matern52, as_inputs, squared_distances
+from mobo_tuner.core.linear_algebra import (
+    FloatArray,
+    cholesky,
+    inverse_triangle,
+    single_blas_thread,
+)
+from mobo_tuner.core.posterior import RELATIVE_JITTER, TriangularPosterior
+from mobo_tuner.core.training import train_lbfgs
+
+_LENGTH_SCALE_PRIOR_STDDEV = 0.7
+_VARIANCE_PRIOR = (float(np.log(10.0)), 1.0)
+_VARIANCE_BOUNDS = (float(np.log(0.1)), float(np.log(1e3)))
+_NEWTON_STEPS = 50
+_NEWTON_TOLERANCE = 1e-9
+_TRAINING_STEPS = 30
+
+
+class ValidityModel:
+    """Probability of a valid evaluation over inputs normalised to [-1, 1].
+
+    Where nothing has failed yet, it is one everywhere. Otherwise it returns, far from all observations, to a value
+    between a half and the share of valid ones.
+    """
+
+    def __init__(self) -> None:
+        self._parameters: FloatArray | None = None
+        self._posterior: _LaplacePosterior | None = None
+        self._d: int | None = None
+
+    def fit(self, x: ArrayLike, valid: ArrayLike) -> ValidityModel:
+        """Learn from all evaluations so far, the hyperparameters starting from the last ones.
+
+        O(n^3) for each step of the training, of which there are some tens.
+
+        Args:
+            x: normalised inputs `(n, d)`, n >= 1.
+            valid: which evaluations were valid `(n,)`.
+
+        Returns:
+            The model itself.
+
+        Raises:
+            ValueError: an argument has the wrong shape, or the inputs a value that is not finite.
+        """
+        inputs = as_inputs(x, self._d).copy()
+        outcomes = np.asarray(valid)
+        if outcomes.shape != (len(inputs),) or outcomes.dtype != np.bool_ or len(inputs) == 0:
+            raise ValueError(f"valid must be {len(inputs)} booleans, at least one, got shape {outcomes.shape}")
+        self._d = inputs.shape[1]
+        if outcomes.all():
+            self._posterior = None
+            return self
+        kernel = Matern52(self._d)
+        likelihood = _LaplaceLikelihood(kernel, inputs, outcomes)
+        start = likelihood.prior_mean if self._parameters is None else self._parameters
+        with single_blas_thread():
+            free = np.ones(len(start), dtype=np.bool_)
+            self._parameters, _ = train_lbfgs(
+                likelihood, np.vstack([start, likelihood.prior_mean]), likelihood.bounds(), free, _TRAINING_STEPS
+            )
+            self._posterior = _LaplacePosterior(kernel, self._parameters, inputs, outcomes)
+        return self
+
+    def predict_log_probability(self, x: ArrayLike) -> FloatArray:
+        """Logarithm of the probability `(m,)` that an evaluation at x `(m, d)` is valid; O(m n^2)."""
+        inputs = self._checked(x)
+        if self._posterior is None:
+            return np.zeros(len(inputs))
+        with single_blas_thread():
+            mean, stddev = self._posterior.predict(inputs)
+        return np.asarray(log_ndtr((self._posterior.offset + mean) / np.hypot(1.0, stddev)))
+
+    def predict_log_probability_with_gradient(self, x: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """As `predict_log_probability`, with its gradient in x `(m, d)`."""
+        inputs = self._checked(x)
+        if self._posterior is None:
+            return np.zeros(len(inputs)), np.zeros_like(inputs)
+        with single_blas_thread():
+            mean, stddev, gradients = self._posterior.predict_with_gradient(inputs)
+        spread = np.hypot(1.0, stddev)
+        ratio = (self._posterior.offset + mean) / spread
+        ratio_gradient = (
+            gradients.mean - (ratio * stddev / spread)[:, None] * gradients.stddev
+        ) / spread[:, None]
+        return np.asarray(log_ndtr(ratio)), _hazard(ratio)[:, None] * ratio_gradient
+
+    def get_state(self) -> dict[str, Any]:
+        """Hyperparameters as plain data for JSON."""
+        return {"parameters": None if self._parameters is None else self._parameters.tolist()}
+
+    def _checked(self, x: ArrayLike) -> FloatArray:
+        if self._d is None:
+            raise ValueError("the validity model has no evaluations yet: call fit first")
+        return as_inputs(x, self._d)
+
+    @classmethod
+    def from_state(cls, state: dict[str, Any], x: ArrayLike = (), valid: ArrayLike = ()) -> ValidityModel:
+        """The model that `get_state` came from, bitwise, given the evaluations of its last `fit`."""
+        model = cls()
+        parameters = state["parameters"]
+        model._parameters = None if parameters is None else np.array(parameters)
+        outcomes = np.asarray(valid, dtype=np.bool_)
+        if len(outcomes) == 0:
+            return model
+        inputs = as_inputs(x).copy()
+        model._d = inputs.shape[1]
+        if not outcomes.all():
+            if model._parameters is None:
+                raise ValueError("the state is of evaluations that were all valid")
+            with single_blas_thread():
+                model._posterior = _LaplacePosterior(Matern52(model._d), model._parameters, inputs, outcomes)
+        return model
+
+
+def _hazard(z: FloatArray) -> FloatArray:
+    """`d log Phi(z) / dz`, without overflow."""
+    return np.asarray(np.exp(-0.5 * z * z - 0.5 * np.log(2.0 * np.pi) - log_ndtr(z)))
+
+
+class _Mode:
+    """The latent function at the observations where its posterior is highest, `[Rasmussen2006]_` Algorithm 3.1.
+
+    Attributes:
+        signs: +1 where valid, else -1, `(n,)`.
+        offset: prior mean.
+        z: signs times the latent function.
+        weights: gradient of the log likelihood there, `K^-1 (f - offset)`.
+        root: square root of the likelihood's negative second derivative.
+        lower: Cholesky factor of `I + root K root`.
+        fit: log posterior density up to a constant.
+    """
+
+    def __init__(self, covariance: FloatArray, valid: FloatArray) -> None:
+        n = len(valid)
+        self.signs = np.where(valid, 1.0, -1.0)
+        # The share of valid ones with one of either kind added, of which there may be none.
+        self.offset = float(ndtri((np.count_nonzero(valid) + 1.0) / (n + 2.0)))
+        solution = np.zeros(n)
+        self._evaluate(covariance, solution)
+        for _ in range(_NEWTON_STEPS):
+            target = self.root**2 * (covariance @ solution) + self.weights
+            inner, _ = lapack.dpotrs(self.lower, self.root * (covariance @ target), lower=1)
+            direction = target - self.root * inner - solution
+            before, step = self.fit, 1.0
+            self._evaluate(covariance, solution + direction)
+            while self.fit < before and step > 1e-3:
+                step *= 0.5
+                self._evaluate(covariance, solution + step * direction)
+            solution = solution + step * direction
+            if self.fit - before < _NEWTON_TOLERANCE * n:
+                return
+
+    def _evaluate(self, covariance: FloatArray, solution: FloatArray) -> None:
+        rise = covariance @ solution
+        self.z = self.signs * (self.offset + rise)
+        hazard = _hazard(self.z)
+        self.fit = float(log_ndtr(self.z).sum() - 0.5 * solution @ rise)
+        self.weights = self.signs * hazard
+        self.root = np.sqrt(np.maximum(hazard * (self.z + hazard), 0.0))
+        scaled = self.root[:, None] * covariance * self.root
+        scaled.flat[:: len(solution) + 1] += 1.0
+        self.lower, _ = cholesky(scaled)
+
+
+class _LaplaceLikelihood:
+    """Minus the log evidence, and log priors, of the hyperparameters `(d + 1,)`, log length-scales and `log s^2`."""
+
+    def __init__(self, kernel: Kernel, x: FloatArray, valid: FloatArray) -> None:
+        self.kernel, self.x, self.valid = kernel, x, valid
+        d = kernel.d
+        self.prior_mean = np.append(np.full(d, 0.5 * np.log(d)), _VARIANCE_PRIOR[0])
+        self._prior_stddev = np.append(np.full(d, _LENGTH_SCALE_PRIOR_STDDEV), _VARIANCE_PRIOR[1])
+
+    def bounds(self) -> FloatArray:
+        """Lowest and highest allowed hyperparameters, `(d + 1, 2)`."""
+        return np.vstack([self.kernel.bounds(), _VARIANCE_BOUNDS])
+
+    def __call__(self, parameters: FloatArray) -> tuple[float, FloatArray]:
+        """Value and gradient by `[Rasmussen2006]_` Algorithm 5.1; O(n^3)."""
+        shape, variance = parameters[:-1], np.exp(parameters[-1])
+        covariance, slope = _covariance(self.kernel, shape, variance, self.x)
+        mode = _Mode(covariance, self.valid)
+        a, root = mode.weights, mode.root
+        value = -mode.fit + float(np.log(np.diagonal(mode.lower)).sum())
+
+        triangle = inverse_triangle(mode.lower) * root
+        whole = triangle.T @ triangle
+        explained = triangle @ covariance
+        remaining = np.diagonal(covariance) - np.einsum("ij,ij->j", explained, explained)
+        hazard = mode.signs * a
+        third = a * ((mode.z + hazard) * (mode.z + 2.0 * hazard) - 1.0)
+        implicit = -0.5 * remaining * third
+        implicit = implicit - whole @ (covariance @ implicit)
+        contraction = 0.5 * whole - np.multiply.outer(a, 0.5 * a + implicit)
+        contraction = 0.5 * (contraction + contraction.T)
+
+        gradient = np.empty_like(parameters)
+        gradient[-1] = (contraction * covariance).sum()
+        contraction *= variance * slope
+        np.fill_diagonal(contraction, 0.0)
+        gradient[:-1] = self.kernel.gradient(shape, self.x, contraction)
+        deviation = (parameters - self.prior_mean) / self._prior_stddev
+        return value + 0.5 * float(deviation @ deviation), gradient + deviation / self._prior_stddev
+
+
+class _LaplacePosterior(TriangularPosterior):
+    """The latent process given the outcomes, less its prior mean `offset`, `[Rasmussen2006]_` Eq. (3.21), (3.24)."""
+
+    def __init__(self, kernel: Kernel, parameters: FloatArray, x: FloatArray, valid: FloatArray) -> None:
+        self.kernel = kernel
+        self.variance = float(np.exp(parameters[-1]))
+        self.factor = kernel.factor(parameters[:-1])
+        self.scaled = x @ self.factor
+        covariance, _ = _covariance(kernel, parameters[:-1], self.variance, x)
+        mode = _Mode(covariance, valid)
+        self.offset = mode.offset
+        self.weights = mode.weights
+        self.inverse = np.asfortranarray(inverse_triangle(mode.lower) * mode.root)
+
+
+def _covariance(
+    kernel: Kernel, shape: FloatArray, variance: float, x: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Covariance matrix of the observations and the kernel's slope, `(n, n)` each."""
+    scaled = x @ kernel.factor(shape)
+    profile, slope = kernel.profile(squared_distances(scaled, scaled))
+    covariance = variance * profile
+    covariance.flat[:: len(x) + 1] = variance * (1.0 + RELATIVE_JITTER)
+    return covariance, slope

@@ -1,0 +1,29 @@
+"""Compile the numerical kernels into numba's cache, so that the first run does not wait for them.
+
+`python -m mobo_tuner.warmup` is part of the set-up.
+"""
+
+from __future__ import annotations
+
+from mobo_tuner.core import Optimizer, Problem
+
+_PROBLEM = {
+    "variables": {"x": {"min": 0.0, "max": 1.0}},
+    "objectives": {"f": {"reference": 2.0}, "g": {"reference": 2.0}},
+}
+
+
+def warm_up() -> None:
+    """Make a few suggestions with every acquisition function that runs compiled code."""
+    for acquisition in ("ehvi", "ucb_hvi"):
+        optimizer = Optimizer(
+            Problem.from_dict(_PROBLEM), acquisition=acquisition, initial_evaluations=3
+        )
+        for _ in range(5):
+            setpoint = optimizer.ask()
+            x = setpoint["x"]
+            optimizer.tell(setpoint, {"f": x**2, "g": (1.0 - x) ** 2})
+
+
+if __name__ == "__main__":
+    warm_up()

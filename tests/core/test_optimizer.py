@@ -1,0 +1,295 @@
+"""Ask and tell: what is asked, what is learned, and that it can be saved and continued."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import moocore
+import numpy as np
+import pytest
+from mobo_tuner.core import Optimizer, Problem, ProblemError
+from scipy.stats import qmc
+
+REFERENCE = 4.3
+TOY: dict[str, Any] = {
+    "variables": {"x1": {"min": -2.0, "max": 2.0}, "x2": {"min": -2.0, "max": 2.0}},
+    "objectives": {"f1": {"reference": REFERENCE}, "f2": {"reference": REFERENCE}},
+}
+Machine = Callable[[Mapping[str, float]], dict[str, Any]]
+
+
+def toy(x: Mapping[str, float]) -> dict[str, Any]:
+    """The paper's toy problem, Eq. (eqn:toy_problem), and its constrained quantity g."""
+    return {
+        "f1": math.hypot(x["x1"] - 1.0, x["x2"] - 1.0),
+        "f2": math.hypot(x["x1"] + 1.0, x["x2"] + 1.0),
+        "g": x["x1"],
+    }
+
+
+def tune(optimizer: Optimizer, evaluations: int, machine: Machine = toy) -> list[dict[str, float]]:
+    """Ask and tell; returns what was asked."""
+    asked = []
+    for _ in range(evaluations):
+        asked.append(optimizer.ask())
+        optimizer.tell(asked[-1], machine(asked[-1]))
+    return asked
+
+
+def with_changes(**changes: Any) -> Problem:
+    return Problem.from_dict(TOY | changes)
+
+
+def toy_share(optimizer: Optimizer) -> float:
+    """Hypervolume as a share of that of the true front, the line from (0, 2.83) to (2.83, 0)."""
+    t = np.linspace(0.0, 2.0 * math.sqrt(2.0), 20_001)
+    true = moocore.hypervolume(np.column_stack([t, t[::-1]]), ref=[REFERENCE] * 2)
+    return float(optimizer.hypervolume / true)
+
+
+@pytest.mark.parametrize("acquisition", ["ehvi", "ucb_hvi"])
+def test_the_toy_problem_is_solved_in_twenty_evaluations(acquisition: str) -> None:
+    optimizer = Optimizer(
+        Problem.from_dict(TOY), seed=1, initial_evaluations=5, acquisition=acquisition
+    )
+    tune(optimizer, 20)
+    assert toy_share(optimizer) > 0.92
+    front = np.array([list(p["objectives"].values()) for p in optimizer.pareto_front()])
+    assert optimizer.hypervolume == pytest.approx(
+        moocore.hypervolume(front, ref=[REFERENCE] * 2), rel=1e-12
+    )
+
+
+def test_the_paper_preset_runs_its_own_recipe() -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY), preset="paper", initial_evaluations=6)
+    assert optimizer.settings.acquisition == "ucb_hvi"
+    assert optimizer.settings.beta == 0.01
+    assert optimizer.settings.training == "adam"
+    assert Optimizer(Problem.from_dict(TOY), preset="paper").initial_evaluations == 20
+    asked = tune(optimizer, 9)
+    assert all(-2.0 <= value <= 2.0 for x in asked for value in x.values())
+
+
+def test_the_first_setpoints_are_a_latin_hypercube() -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY), seed=5, initial_evaluations=8)
+    asked = tune(optimizer, 8)
+    assert optimizer.last_source == "initial"
+    points = np.array([list(x.values()) for x in asked]) / 2.0
+    cells = np.floor((points + 1.0) * 4.0)
+    assert all(sorted(column) == list(range(8)) for column in cells.T)
+    optimizer.ask()
+    assert optimizer.last_source == "model"
+
+
+def test_asking_twice_gives_the_same_answer() -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY), seed=2, initial_evaluations=4)
+    for _ in range(6):
+        x = optimizer.ask()
+        assert optimizer.ask() == x
+        optimizer.tell(x, toy(x))
+
+
+def test_the_same_seed_gives_the_same_asks_and_another_seed_others() -> None:
+    runs = [
+        tune(Optimizer(Problem.from_dict(TOY), seed=seed, initial_evaluations=4), 8)
+        for seed in (3, 3, 4)
+    ]
+    assert runs[0] == runs[1]
+    assert runs[0] != runs[2]
+
+
+def test_setpoints_that_were_never_asked_for_are_learned() -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY), initial_evaluations=5)
+    points = 4.0 * qmc.LatinHypercube(2, rng=np.random.default_rng(0)).random(12) - 2.0
+    for x1, x2 in points:
+        optimizer.tell({"x1": x1, "x2": x2}, toy({"x1": x1, "x2": x2}))
+    x = optimizer.ask()
+    assert optimizer.last_source == "model"
+    assert abs(x["x1"] - x["x2"]) < 0.5  # on the line where the front is
+
+
+@pytest.mark.parametrize("told", [0, 3, 7, 12])
+def test_a_restored_optimizer_asks_what_the_original_would_have_asked(
+    told: int, tmp_path: Path
+) -> None:
+    problem = with_changes(constraints={"g": {"max": 0.5}})
+    original = Optimizer(problem, seed=6, initial_evaluations=5, refit_every=4)
+    tune(original, told)
+    original.save(tmp_path / "state.json")
+    restored = Optimizer.load(tmp_path / "state.json")
+    assert restored.hypervolume == original.hypervolume
+    assert restored.settings == original.settings
+    assert tune(restored, 5) == tune(original, 5)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("{", "is not JSON"),
+        ("[]", "holds no state"),
+        ('{"version": 99}', "the state is of version 99"),
+        ('{"version": 1}', "the state lacks 'problem'"),
+    ],
+)
+def test_a_bad_state_is_refused_in_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
+    path = tmp_path / "state.json"
+    path.write_text(text)
+    with pytest.raises(ProblemError, match=sentence):
+        Optimizer.load(path)
+    with pytest.raises(ProblemError, match="cannot be read"):
+        Optimizer.load(tmp_path / "absent.json")
+
+
+def test_a_maximised_objective_is_maximised() -> None:
+    problem = with_changes(
+        objectives={
+            "f1": {"reference": REFERENCE},
+            "h2": {"reference": -REFERENCE, "direction": "maximize"},
+        }
+    )
+
+    def machine(x: Mapping[str, float]) -> dict[str, Any]:
+        values = toy(x)
+        return {"f1": values["f1"], "h2": -values["f2"]}
+
+    turned = Optimizer(problem, seed=1, initial_evaluations=5)
+    plain = Optimizer(Problem.from_dict(TOY), seed=1, initial_evaluations=5)
+    assert tune(turned, 10, machine) == tune(plain, 10)
+    assert turned.hypervolume == pytest.approx(plain.hypervolume)
+    assert all(p["objectives"]["h2"] < 0.0 for p in turned.pareto_front())
+
+
+def test_a_constraint_keeps_the_front_feasible() -> None:
+    optimizer = Optimizer(with_changes(constraints={"g": {"max": 0.5}}), seed=1)
+    tune(optimizer, 25)
+    front = optimizer.pareto_front()
+    assert len(front) > 5
+    assert all(point["setpoint"]["x1"] <= 0.5 for point in front)
+    late = optimizer.dataset.evaluations[12:]
+    assert sum(e.feasible for e in late) >= 0.75 * len(late)
+
+
+def test_feasibility_is_sought_before_anything_else() -> None:
+    def machine(x: Mapping[str, float]) -> dict[str, Any]:
+        return toy(x) | {"g": math.hypot(x["x1"] - 1.6, x["x2"] + 1.7)}
+
+    optimizer = Optimizer(with_changes(constraints={"g": {"max": 0.15}}), seed=3)
+    tune(optimizer, 25, machine)
+    feasible = optimizer.dataset.feasible
+    assert not feasible[: optimizer.initial_evaluations].any()
+    assert feasible.any()
+
+
+def test_failed_evaluations_earn_nothing_and_are_not_repeated() -> None:
+    def machine(x: Mapping[str, float]) -> dict[str, Any]:
+        return toy(x) if x["x1"] < 0.3 else {"f1": math.nan}
+
+    optimizer = Optimizer(Problem.from_dict(TOY), seed=1, initial_evaluations=6)
+    tune(optimizer, 22, machine)
+    failed = {e.index for e in optimizer.dataset.evaluations if not e.valid}
+    assert failed
+    assert failed.isdisjoint(p["index"] for p in optimizer.pareto_front())
+    inputs = optimizer.dataset.inputs
+    for i in failed:
+        later = np.abs(inputs[i + 1 :] - inputs[i]).max(axis=1)
+        assert (later > 0.02).all()
+
+
+def test_when_everything_fails_it_explores() -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY), initial_evaluations=3)
+    asked = tune(optimizer, 8, lambda _: {})
+    points = np.array([list(x.values()) for x in asked])
+    distances = np.linalg.norm(points[:, None] - points, axis=2) + 10.0 * np.eye(len(points))
+    assert distances.min() > 0.5
+    assert optimizer.pareto_front() == []
+    assert optimizer.hypervolume == 0.0
+
+
+def test_proximal_biasing_shortens_the_steps() -> None:
+    lengths = []
+    for proximal in (None, 4.0):
+        optimizer = Optimizer(
+            Problem.from_dict(TOY), seed=1, initial_evaluations=5, proximal=proximal
+        )
+        tune(optimizer, 25)
+        steps = np.diff(optimizer.dataset.inputs[5:], axis=0)
+        lengths.append(np.linalg.norm(steps, axis=1).mean())
+    assert lengths[1] < 0.6 * lengths[0]
+
+
+def test_a_truncation_box_confines_the_front() -> None:
+    box = {"reference": 1.5, "truncation": [0.5, 1.5]}
+    optimizer = Optimizer(with_changes(objectives={"f1": box, "f2": {"reference": 4.3}}), seed=2)
+    tune(optimizer, 22)
+    values = np.array([e.values["f1"] for e in optimizer.dataset.evaluations[8:]])
+    assert np.mean((values > 0.4) & (values < 1.5)) > 0.8
+
+
+@pytest.mark.parametrize("acquisition", ["ei", "ucb"])
+def test_weights_make_it_a_single_objective_problem(acquisition: str) -> None:
+    optimizer = Optimizer(
+        Problem.from_dict(TOY), seed=1, acquisition=acquisition, weights=(1.0, 0.0), beta=1.0
+    )
+    tune(optimizer, 25)
+    assert min(e.values["f1"] for e in optimizer.dataset.evaluations) < 0.15
+
+
+@pytest.mark.parametrize(
+    ("keywords", "sentence"),
+    [
+        ({"preset": "best"}, "preset is 'best'; allowed are default, paper"),
+        ({"acqusition": "ehvi"}, "'acqusition' is no choice of the optimiser"),
+        ({"acquisition": "pi"}, "acquisition is 'pi'; allowed are"),
+        ({"acquisition": "ei"}, "needs a single objective or weights"),
+        ({"weights": (1.0,), "acquisition": "ei"}, "one for each of 2 objectives"),
+        ({"beta": -1.0}, "beta is -1.0"),
+        ({"kernel": "cubic"}, "kernel must be one of"),
+        ({"initial_evaluations": -3}, "initial_evaluations is -3"),
+        ({"seed": -1}, "seed is -1"),
+        ({"seed": 1.5}, "seed is 1.5"),
+        ({"proximal": "near"}, "proximal is 'near'"),
+        ({"proximal": [1.0, 2.0, 3.0]}, "proximal is \\[1.0, 2.0, 3.0\\]"),
+        ({"suggestion_seconds": 0.0}, "suggestion_seconds is 0.0"),
+    ],
+)
+def test_bad_choices_are_refused_in_one_sentence(keywords: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ProblemError, match=sentence):
+        Optimizer(Problem.from_dict(TOY), **keywords)
+
+
+def constant(_: Mapping[str, float]) -> dict[str, Any]:
+    return {"f1": 1.0, "f2": 2.0}
+
+
+def huge_outlier(x: Mapping[str, float]) -> dict[str, Any]:
+    return toy(x) | ({"f1": 1e6} if x["x1"] > 1.5 else {})
+
+
+def tiny(x: Mapping[str, float]) -> dict[str, Any]:
+    return {name: 1e-9 * value for name, value in toy(x).items()}
+
+
+def beyond(x: Mapping[str, float]) -> dict[str, Any]:
+    return {name: 1e3 + value for name, value in toy(x).items()}
+
+
+@pytest.mark.parametrize("machine", [constant, huge_outlier, tiny, beyond])
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_awkward_machines_get_finite_candidates_inside_the_bounds(
+    machine: Machine, preset: str
+) -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY), preset=preset, seed=1, initial_evaluations=4)
+    for x in tune(optimizer, 9, machine):
+        assert all(-2.0 <= value <= 2.0 for value in x.values())
+    assert math.isfinite(optimizer.hypervolume)
+
+
+def test_the_state_is_plain_json() -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY), initial_evaluations=3, proximal=np.eye(2))
+    tune(optimizer, 5)
+    state = json.loads(json.dumps(optimizer.get_state()))
+    assert Optimizer.from_state(state).ask() == optimizer.ask()

@@ -1,0 +1,359 @@
+"""The entry script's command line and its runs, with real processes in the place of the nodes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fake_project import ROOT, TIMEOUT, FakeProject, wait_until
+
+from tools.run_folder import process_start
+from tools.tuning import EXIT_LIMIT, Program
+
+ALL = ("machine", "tuner", "recorder", "console")
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Iterator[FakeProject]:
+    project = FakeProject(tmp_path)
+    yield project
+    project.close()
+
+
+def mobo(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, str(ROOT / "mobo.py"), *arguments],
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT,
+        check=False,
+    )
+
+
+# ------------------------------------------------------------------ the command line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["run", "--evaluations", "0"], "--evaluations"),
+        (["run", "--evaluations", "many"], "--evaluations"),
+        (["run", "--evaluations", "1" * 5000], "--evaluations"),
+        (["run", "--seed", "-1"], "--seed"),
+        (["run", "--seed", "0.5"], "--seed"),
+        (["run", "--speed", "0"], "--speed"),
+        (["run", "--speed", "nan"], "--speed"),
+        (["run", "--speed", "inf"], "--speed"),
+        (["run", "--run-id", "../elsewhere"], "../elsewhere"),
+        (["run", "--run-id", ".hidden"], ".hidden"),
+        (["run", "--run-id", ""], "--run-id"),
+        (["run", "--domain-id", "102"], "--domain-id"),
+        (["run", "--config", "nowhere.yaml"], "nowhere.yaml"),
+        (["run", "--eval", "3"], "--eval"),
+        (["walk"], "walk"),
+        ([], "VERB"),
+        (["resume", "some-run"], "resume"),
+        (["report", "some-run"], "report"),
+    ],
+)
+def test_a_wrong_command_line_is_one_sentence(arguments: list[str], named: str) -> None:
+    done = mobo(*arguments)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert len(done.stderr.splitlines()) == 1
+    assert named in done.stderr
+
+
+def test_help_names_every_verb() -> None:
+    done = mobo("--help")
+    assert done.returncode == 0
+    for verb in ("run", "test", "list", "show", "resume", "report"):
+        assert f"\n    {verb} " in done.stdout
+
+
+def test_parameters_reach_a_node_as_the_types_they_are() -> None:
+    program = Program("tuner", "package.tuner", ("run_id", "seed", "speed", "runs_dir"))
+    values = {"run_id": "1e5", "seed": 3, "speed": None, "runs_dir": Path("/it's here")}
+    command = program.command(Path("python"), Path("config.yaml"), values)
+    assert command == [
+        *("python", "-P", "-m", "package.tuner", "--ros-args", "--params-file", "config.yaml"),
+        *("-p", "run_id:='1e5'", "-p", "seed:=3", "-p", "runs_dir:='/it''s here'"),
+    ]
+
+
+# ------------------------------------------------------------------ runs that go well
+
+
+def test_a_run_leaves_its_folder_and_nothing_else(project: FakeProject) -> None:
+    status, output, errors = project.run("run", "--evaluations", "7", "--speed", "20")
+    assert (status, errors) == (0, "")
+    lines = output.splitlines()
+    folder = Path(lines[-1])
+    assert folder.parent == project.root / "runs"
+    assert "tuning" in lines
+    assert "the front" in lines
+    facts = json.loads((folder / "run.json").read_text())
+    assert facts["state"] == "finished"
+    assert facts["reason"] == ""
+    assert facts["arguments"]["evaluations"] == 7
+    assert f"ROS_DOMAIN_ID={facts['domain_id']}" in output
+    assert (folder / "config.yaml").read_text() == "/**: {}\n"
+    assert {path.name for path in (folder / "log").iterdir()} >= {f"{name}.log" for name in ALL}
+    assert project.alive() == []
+
+
+def test_the_recorder_is_stopped_last(project: FakeProject) -> None:
+    assert project.run("run", machine="slow", tuner="slow")[0] == 0
+    events = project.events
+    recorder = events.index("recorder stopping")
+    assert events.index("machine stopped") < recorder
+    assert events.index("tuner stopped") < recorder
+
+
+def test_runs_get_names_of_their_own(project: FakeProject) -> None:
+    first, second = project.start("run"), project.start("run")
+    folders = {p.communicate(timeout=TIMEOUT)[0].splitlines()[-1] for p in (first, second)}
+    assert len(folders) == 2
+    domains = {json.loads(Path(f, "run.json").read_text())["domain_id"] for f in folders}
+    assert len(domains) == 2
+
+
+def test_a_run_is_never_overwritten(project: FakeProject) -> None:
+    folder = project.root / "runs" / "mine"
+    folder.mkdir(parents=True)
+    status, output, errors = project.run("run", "--run-id", "mine")
+    assert (status, output) == (2, "")
+    assert errors == (
+        f"mobo.py: the run 'mine' exists already in '{folder.parent}', "
+        "and no run is ever overwritten\n"
+    )
+    assert list(folder.iterdir()) == []
+    assert project.events == []
+
+
+def test_a_bad_configuration_starts_nothing(project: FakeProject) -> None:
+    status, output, errors = project.run("run", check_config="refuse")
+    assert (status, output) == (2, "")
+    assert errors == "mobo.py: reference of eps_x is 1.0; it must lie in its truncation box\n"
+    assert {event.split()[0] for event in project.events} == {"check_config"}
+    assert not (project.root / "runs").exists()
+
+
+# ------------------------------------------------------------------ runs that fail
+
+
+def failure(project: FakeProject, output: str) -> dict[str, Any]:
+    folder = Path(output.splitlines()[-1])
+    facts: dict[str, Any] = json.loads((folder / "run.json").read_text())
+    assert project.alive() == []
+    return facts
+
+
+def test_a_killed_machine_ends_the_run(project: FakeProject) -> None:
+    process = project.start("run", console="wait")
+    project.wait_for_event("console ready")
+    start = next(event for event in project.events if event.startswith("machine started"))
+    os.kill(int(start.split()[-1]), signal.SIGKILL)
+    output, errors = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 1
+    assert errors.startswith("mobo.py: the run failed: the machine node was killed by SIGKILL\n")
+    assert failure(project, output)["state"] == "failed"
+    assert "recorder stopped" in project.events
+    assert "the front" in output
+
+
+def test_a_node_that_dies_is_named_with_its_last_words(project: FakeProject) -> None:
+    status, output, errors = project.run("run", tuner="crash", console="wait")
+    assert status == 1
+    assert "the tuner node ended with status 3" in errors.splitlines()[0]
+    assert "    the magnet quenched" in errors.splitlines()
+    assert (
+        failure(project, output)["reason"] == "the run failed: the tuner node ended with status 3"
+    )
+
+
+def test_the_consoles_last_words_are_the_reason(project: FakeProject) -> None:
+    status, output, errors = project.run("run", console="fail")
+    assert status == 1
+    assert errors == "mobo.py: the run failed: the machine refused evaluation 3\n"
+    assert failure(project, output)["state"] == "failed"
+
+
+@pytest.mark.parametrize("behaviour", ["ends badly", "stubborn"])
+def test_a_recorder_that_does_not_end_well_fails_the_run(
+    project: FakeProject, behaviour: str
+) -> None:
+    status, output, errors = project.run("run", recorder=behaviour)
+    assert status == 1
+    assert "the recorder node" in errors
+    assert failure(project, output)["state"] == "failed"
+
+
+def test_a_failed_report_fails_the_run(project: FakeProject) -> None:
+    status, output, errors = project.run("run", report="crash")
+    assert status == 1
+    assert errors == "mobo.py: the report failed: the journal is damaged\n"
+    assert failure(project, output)["state"] == "failed"
+
+
+def test_a_taken_domain_is_refused(project: FakeProject) -> None:
+    process = project.start("run", console="wait")
+    project.wait_for_event("console ready")
+    (run_file,) = (project.root / "runs").glob("*/run.json")
+    domain = json.loads(run_file.read_text())["domain_id"]
+    status, _, errors = project.run("run", "--domain-id", str(domain))
+    assert (status, errors) == (1, f"mobo.py: ROS domain {domain} is taken by another run\n")
+    process.terminate()
+    process.communicate(timeout=TIMEOUT)
+
+
+# ------------------------------------------------------------------ signals
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("event", ["check_config", "machine started", "console ready"])
+def test_a_signal_ends_everything_in_time(
+    project: FakeProject, number: signal.Signals, event: str
+) -> None:
+    process = project.start("run", console="wait", machine="family", tuner="stubborn")
+    wait_until(lambda: any(e.startswith(event) for e in project.events), event)
+    process.send_signal(number)
+    sent = time.monotonic()
+    output, errors = process.communicate(timeout=TIMEOUT)
+    assert time.monotonic() - sent < EXIT_LIMIT
+    assert process.returncode == 128 + number
+    assert f"stopped by {number.name}" in errors
+    assert project.alive() == []
+    if event == "console ready":
+        assert failure(project, output)["state"] == "interrupted"
+        assert project.events.index("console stopped") < project.events.index("machine stopping")
+        assert "recorder stopped" in project.events
+
+
+def test_an_impatient_user_does_not_spoil_the_bag(project: FakeProject) -> None:
+    process = project.start("run", console="wait", recorder="slow")
+    project.wait_for_event("console ready")
+    process.send_signal(signal.SIGINT)
+    project.wait_for_event("recorder stopping")
+    for _ in range(3):
+        process.send_signal(signal.SIGINT)
+    process.communicate(timeout=TIMEOUT)
+    assert project.events.count("recorder stopping") == 1
+    assert "recorder stopped" in project.events
+
+
+def test_a_killed_entry_script_leaves_no_process(project: FakeProject) -> None:
+    process = project.start(
+        "run", console="wait", machine="family", tuner="stubborn", recorder="slow"
+    )
+    project.wait_for_event("console ready")
+    assert len(project.alive()) == 5
+    process.kill()
+    process.communicate(timeout=TIMEOUT)
+    wait_until(lambda: project.alive() == [], "the end of everything")
+    assert "recorder stopped" in project.events
+    status, output, _ = project.run("list")
+    assert status == 0
+    assert " died " in output
+
+
+# ------------------------------------------------------------------ list and show
+
+SUMMARY = {
+    "evaluations": 3,
+    "failed": 1,
+    "feasible": 2,
+    "hypervolume": 1234.5678,
+    "stop_reason": "budget",
+    "pareto_front": [
+        {"index": 0, "setpoint": {"K1": 512.0}, "objectives": {"eps_x": 38.25, "dE": 0.25}},
+        {"index": 2, "setpoint": {"K1": 430.0}, "objectives": {"eps_x": 41.5, "dE": None}},
+    ],
+}
+
+
+def make_run(runs_dir: Path, run_id: str, facts: Any, summary: Any = None) -> Path:
+    folder = runs_dir / run_id
+    folder.mkdir(parents=True)
+    for name, content in (("run.json", facts), ("summary.json", summary)):
+        if content is not None:
+            text = content if isinstance(content, str) else json.dumps(content)
+            (folder / name).write_text(text)
+    return folder
+
+
+def test_list_tells_the_state_of_every_run(tmp_path: Path) -> None:
+    here = {"pid": os.getpid(), "pid_started": process_start(os.getpid())}
+    start = {"started": "2026-11-23T15:42:10+01:00"}
+    make_run(tmp_path, "a", {"state": "finished", **start}, SUMMARY)
+    make_run(tmp_path, "b", {"state": "running", **here, **start})
+    make_run(tmp_path, "c", {"state": "running", **here, "pid_started": "1", **start})
+    make_run(tmp_path, "d", {"state": "running", **start})
+    make_run(tmp_path, "e", "{")
+    make_run(tmp_path, "f", [1, 2])
+    (tmp_path / "no-run").mkdir()
+    done = mobo("list", "--runs-dir", str(tmp_path))
+    assert done.returncode == 0
+    rows = [line.split() for line in done.stdout.splitlines()]
+    assert rows[0] == ["run", "state", "evaluations", "hypervolume", "started"]
+    assert rows[1] == ["a", "finished", "3", "1234.57", start["started"]]
+    assert [row[:2] for row in rows[2:]] == [
+        ["b", "running"],
+        ["c", "died"],
+        ["d", "died"],
+        ["e", "unreadable"],
+        ["f", "unreadable"],
+    ]
+    assert len(done.stderr.splitlines()) == 2
+
+
+def test_list_of_an_empty_folder_says_so(tmp_path: Path) -> None:
+    done = mobo("list", "--runs-dir", str(tmp_path))
+    assert (done.returncode, done.stdout) == (0, f"there are no runs in '{tmp_path}'\n")
+
+
+def test_show_prints_the_facts_and_the_front(tmp_path: Path) -> None:
+    folder = make_run(tmp_path, "a", {"state": "finished"}, SUMMARY)
+    by_id = mobo("show", "a", "--runs-dir", str(tmp_path))
+    by_path = mobo("show", str(folder))
+    assert by_id.returncode == 0
+    assert by_id.stdout == by_path.stdout
+    rows = [line.split() for line in by_id.stdout.splitlines()]
+    assert ["hypervolume", "1234.57"] in rows
+    assert ["index", "eps_x", "dE"] in rows
+    assert ["2", "41.5", "-"] in rows
+    assert ["0", "512"] in rows
+
+
+@pytest.mark.parametrize(
+    ("facts", "summary"),
+    [
+        ({}, "no JSON"),
+        ({}, "[]"),
+        ({}, {"evaluations": 3}),
+        ({}, {"pareto_front": 3}),
+        ({}, {"pareto_front": [3]}),
+        ({}, {"pareto_front": [{"index": 0, "setpoint": 1, "objectives": 2}]}),
+        ("\0", SUMMARY),
+    ],
+)
+def test_show_of_a_broken_run_is_one_sentence(tmp_path: Path, facts: Any, summary: Any) -> None:
+    make_run(tmp_path, "a", facts, summary)
+    done = mobo("show", "a", "--runs-dir", str(tmp_path))
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert str(tmp_path / "a") in done.stderr
+
+
+def test_show_of_an_unknown_run_is_one_sentence(tmp_path: Path) -> None:
+    done = mobo("show", "nobody", "--runs-dir", str(tmp_path))
+    assert done.returncode == 1
+    assert done.stderr == f"mobo.py: there is no run 'nobody' in '{tmp_path}'\n"
