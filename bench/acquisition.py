@@ -35,7 +35,8 @@ front.expected_improvement([[0.4, 0.4, 0.4]], [[0.1, 0.1, 0.1]])
 def on_sphere(rng: np.random.Generator, n: int, n_objectives: int) -> FloatArray:
     """Random points of the unit sphere with no negative component."""
     points = np.abs(rng.standard_normal((n, n_objectives)))
-    return points / np.linalg.norm(points, axis=1, keepdims=True)
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    return points
 
 
 def concave(rng: np.random.Generator, n: int, n_objectives: int) -> FloatArray:
@@ -54,7 +55,8 @@ def smooth(rng: np.random.Generator, n: int, n_objectives: int) -> FloatArray:
     inputs = rng.dirichlet(np.ones(n_objectives), n) @ centers
     distances = ((inputs[:, None, :] - centers) ** 2).sum(axis=2)
     largest = ((centers[:, None, :] - centers) ** 2).sum(axis=2).max(axis=0)
-    return 2.0 * distances / largest - 1.0
+    points: FloatArray = 2.0 * distances / largest - 1.0
+    return points
 
 
 FRONTS = {"smooth": smooth, "convex": convex, "concave": concave}

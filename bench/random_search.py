@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+
 from awa_sim_node.surrogate import Surrogate, output_ranges
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.core.hypervolume import hypervolume

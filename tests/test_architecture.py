@@ -18,7 +18,7 @@ def test_the_core_works_where_ros_cannot_be_imported() -> None:
 import sys
 class Absent:
     def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in {ROS_PACKAGES + ("torch",)!r}:
+        if name.split(".")[0] in {(*ROS_PACKAGES, "torch")!r}:
             raise ModuleNotFoundError(name + " must not be imported")
 sys.meta_path.insert(0, Absent())
 from mobo_tuner.core import Optimizer, Problem

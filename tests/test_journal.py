@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from mobo_tuner.journal import FILE_NAME, Journal, JournalError, read_journal
 
 HEADER = {"run_id": "run1", "stamp": 12.5, "problem": {"variables": {}}, "settings": {"seed": 3}}

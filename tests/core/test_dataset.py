@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+
 from mobo_tuner.core.dataset import Dataset
 from mobo_tuner.core.problem import Problem, ProblemError
 

@@ -11,8 +11,9 @@ from typing import Any
 import moocore
 import numpy as np
 import pytest
-from mobo_tuner.core import Optimizer, Problem, ProblemError
 from scipy.stats import qmc
+
+from mobo_tuner.core import Optimizer, Problem, ProblemError
 
 REFERENCE = 4.3
 TOY: dict[str, Any] = {

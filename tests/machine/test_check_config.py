@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import yaml
+
 from awa_sim_node.check_config import check
 from mobo_tuner.core.problem import ProblemError, load_yaml
 

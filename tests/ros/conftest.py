@@ -15,6 +15,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+
 from ros_support import TIMEOUT, NodeStarter
 
 # Domain 0 is everybody's; above 101 the ports of a domain collide with Linux's ephemeral ones.

@@ -7,10 +7,11 @@ import time
 from collections.abc import Callable
 
 import pytest
+from rclpy.node import Node
+
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint
 from mobo_msgs_py.srv import DescribeMachine
-from rclpy.node import Node
 from ros_support import NodeProcess, NodeStarter
 from tuning_support import CONFIG, GoalClient, machine_client
 

@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from rclpy.node import Node
+
 from mobo_msgs_py.msg import RecorderStatus
 from mobo_tuner.ros.qos import LATCHED
-from rclpy.node import Node
 from ros_support import NodeProcess, NodeStarter
 from tuner_double import Behaviour, TunerDouble
 
@@ -270,13 +271,12 @@ def test_the_terminal_view(session: Session) -> None:
         reader.join(5.0)
         os.close(ours)
     text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", screen.decode())
-    print(text)
     assert "waiting for the tuner" in text
     assert "run run1   machine: settling 40%" in text
     assert "hypervolume 103   4 on the front   2 feasible   1 failed" in text
     last = text[text.rindex("objective") :]
-    assert re.search(r"eps_x +27 ± 0\.2 +27 +mm mrad +evaluation 4", last)
-    assert re.search(r"yield +0\.53 +0\.53 +evaluation 4", last)
+    assert re.search(r"eps_x +27 ± 0\.2 +27 +mm mrad +index 3", last)
+    assert re.search(r"yield +0\.53 +0\.53 +index 3", last)
     assert "run run1 is finished (budget): 4 evaluations" in last
     assert screen.endswith(b"\n")
     assert b"\x1b[?25h" in screen[screen.rindex(b"\x1b[?25l") :], "the cursor must be shown again"

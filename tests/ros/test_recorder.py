@@ -13,18 +13,19 @@ import pytest
 import yaml
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
-from mobo_msgs_py.msg import Evaluation, NamedValue, Problem, RecorderStatus, Variable
-from mobo_tuner.ros.qos import LATCHED, STREAM
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import qos_profile_sensor_data
-from ros_support import NodeProcess, NodeStarter
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.typesys import Stores, get_typestore
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
+
+from mobo_msgs_py.msg import Evaluation, NamedValue, Problem, RecorderStatus, Variable
+from mobo_tuner.ros.qos import LATCHED, STREAM
+from ros_support import NodeProcess, NodeStarter
 
 SpinUntil = Callable[..., None]
 

@@ -12,12 +12,13 @@ from typing import Any
 
 import pytest
 import yaml
+from rclpy.node import Node
+from std_msgs.msg import Float64
+
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_tuner.ros.qos import LATCHED, STREAM
-from rclpy.node import Node
 from ros_support import NodeProcess, NodeStarter
-from std_msgs.msg import Float64
 from tuning_support import CONFIG, GoalClient, ScriptedMachine, toy_values, tune_client
 
 NONE = EvaluateSetpoint.Result.NONE

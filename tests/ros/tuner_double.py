@@ -5,6 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.node import Node
+from rclpy.task import Future
+
 from mobo_msgs_py.action import Tune
 from mobo_msgs_py.msg import (
     Evaluation,
@@ -17,10 +22,6 @@ from mobo_msgs_py.msg import (
 )
 from mobo_tuner.ros.qos import LATCHED, STREAM
 from mobo_tuner.ros.waiting import first_of
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.action.server import ServerGoalHandle
-from rclpy.node import Node
-from rclpy.task import Future
 
 
 @dataclass
@@ -99,6 +100,7 @@ class TunerDouble:
         ]
         self._problem.publish(Problem(run_id=goal.run_id, objectives=objectives))
         result = Tune.Result(run_id=goal.run_id, stop_reason="budget")
+        result.pareto_front.run_id = goal.run_id
         for index in range(budget):
             if behaviour.fail_after == index:
                 result.stop_reason = "error"

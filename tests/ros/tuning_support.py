@@ -7,12 +7,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from mobo_msgs_py import msg
-from mobo_msgs_py.action import EvaluateSetpoint, Tune
-from mobo_msgs_py.srv import DescribeMachine
 from rclpy.action import ActionClient, ActionServer, CancelResponse
 from rclpy.node import Node
 from rclpy.task import Future
+
+from mobo_msgs_py import msg
+from mobo_msgs_py.action import EvaluateSetpoint, Tune
+from mobo_msgs_py.srv import DescribeMachine
 
 CONFIG = Path(__file__).parents[2] / "config"
 Spin = Callable[..., None]

@@ -9,11 +9,10 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from mobo_tuner.core.problem import Problem, ProblemError, load_yaml
-from mobo_tuner.ros.parameters import RECORDER, TUNER, ParameterSpec, check_section
-
 from awa_sim_node.machine import describe
 from awa_sim_node.parameters import AWA_SIM
+from mobo_tuner.core.problem import Problem, ProblemError, load_yaml
+from mobo_tuner.ros.parameters import RECORDER, TUNER, ParameterSpec, check_section
 
 NODES: Mapping[str, tuple[ParameterSpec, ...]] = {
     "tuner": TUNER,

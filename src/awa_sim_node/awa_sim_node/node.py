@@ -4,13 +4,6 @@ from __future__ import annotations
 
 import time
 
-from mobo_msgs_py import msg
-from mobo_msgs_py.action import EvaluateSetpoint
-from mobo_msgs_py.srv import DescribeMachine
-from mobo_tuner.ros.conversions import named_values, values_of
-from mobo_tuner.ros.parameters import declare
-from mobo_tuner.ros.process import exit_process, run_node
-from mobo_tuner.ros.waiting import first_of
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.executors import Executor
@@ -21,6 +14,13 @@ from awa_sim_node.machine import SimulatedMachine
 from awa_sim_node.machine.diagnostics import Reading
 from awa_sim_node.machine.evaluation import Evaluation, Phase
 from awa_sim_node.parameters import AWA_SIM
+from mobo_msgs_py import msg
+from mobo_msgs_py.action import EvaluateSetpoint
+from mobo_msgs_py.srv import DescribeMachine
+from mobo_tuner.ros.conversions import named_values, values_of
+from mobo_tuner.ros.parameters import declare
+from mobo_tuner.ros.process import exit_process, run_node
+from mobo_tuner.ros.waiting import first_of
 
 FEEDBACK_PERIOD = 0.2  # [s] of wall time
 _PHASE_WORDS = {Phase.RAMP: "ramping", Phase.SETTLE: "settling", Phase.MEASURE: "measuring"}

@@ -1,9 +1,8 @@
 """Parameters of the simulated machine's node."""
 
-from mobo_tuner.ros.parameters import ParameterSpec
-
 from awa_sim_node.machine import Mode
 from awa_sim_node.machine.models import MODEL_NAMES
+from mobo_tuner.ros.parameters import ParameterSpec
 
 AWA_SIM = (
     ParameterSpec(

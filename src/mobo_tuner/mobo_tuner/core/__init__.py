@@ -4,7 +4,12 @@ Everything inside works on set-points scaled to ``[-1, 1]`` and on minimised obj
 :class:`Problem` translates from and to physical units.
 """
 
+from typing import TYPE_CHECKING
+
 from mobo_tuner.core.problem import Problem, ProblemError
+
+if TYPE_CHECKING:
+    from mobo_tuner.core.optimizer import Optimizer
 
 __all__ = ["Optimizer", "Problem", "ProblemError"]
 

@@ -65,9 +65,10 @@ class BoxTree(NamedTuple):
 
 @compiled
 def _resized(array: NDArray[np.int32], size: int) -> NDArray[np.int32]:
-    larger = np.empty(size, np.int32)
-    larger[: len(array)] = array
-    return larger
+    resized = np.empty(size, np.int32)
+    for i in range(min(size, len(array))):  # assigning a slice takes seconds to compile
+        resized[i] = array[i]
+    return resized
 
 
 @compiled
@@ -99,7 +100,7 @@ def find_leaves(tree: BoxTree, levels: FloatArray, point: FloatArray) -> NDArray
             if point[axis] < levels[tree.upper[child, axis], axis]:
                 stack[size] = child
                 size += 1
-    return found[:n_found].copy()
+    return _resized(found, n_found)
 
 
 @compiled
@@ -137,8 +138,8 @@ def split_leaves(
                 if k != axis:
                     largest = max(largest, levels[tree.upper[leaf, k], axis])
             if point[axis] >= largest:
-                tree.upper[n_nodes] = tree.upper[leaf]
-                tree.upper[n_nodes, axis] = row
+                for k in range(n_objectives):
+                    tree.upper[n_nodes, k] = row if k == axis else tree.upper[leaf, k]
                 tree.axis[n_nodes] = axis
                 tree.first_child[n_nodes] = LEAF
                 _set_lower_corner(tree, levels, n_nodes)
@@ -164,16 +165,17 @@ def _set_lower_corner(tree: BoxTree, levels: FloatArray, node: int) -> None:
 @compiled
 def pack(tree: BoxTree, packed: BoxTree, n_levels: int) -> None:
     """Copy the tree into `packed` in the order of a sum's visits, which is kind to caches."""
-    stack = np.empty((n_levels * tree.upper.shape[1], 2), np.int32)
-    stack[0] = 0
+    n_objectives = tree.upper.shape[1]
+    stack = np.zeros((n_levels * n_objectives, 2), np.int32)
     size = 1
     n_nodes = 1
     while size > 0:
         size -= 1
         node = stack[size, 0]
         place = stack[size, 1]
-        packed.upper[place] = tree.upper[node]
-        packed.lower[place] = tree.lower[node]
+        for j in range(n_objectives):
+            packed.upper[place, j] = tree.upper[node, j]
+            packed.lower[place, j] = tree.lower[node, j]
         packed.axis[place] = tree.axis[node]
         first = tree.first_child[node]
         if first == LEAF:

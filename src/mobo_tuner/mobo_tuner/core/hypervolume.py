@@ -271,9 +271,12 @@ class BoxDecomposition:
             return
         if needed > capacity:
             capacity = max(needed, 2 * capacity)
-        self._tree = BoxTree(*(_enlarged(array, capacity, 0) for array in self._tree))._replace(
-            upper=_enlarged(self._tree.upper.astype(index_type), capacity, 0),
-            lower=_enlarged(self._tree.lower.astype(index_type), capacity, 0),
+        self._tree = BoxTree(
+            upper=_enlarged(self._tree.upper, capacity, 0, index_type),
+            lower=_enlarged(self._tree.lower, capacity, 0, index_type),
+            axis=_enlarged(self._tree.axis, capacity, 0),
+            first_child=_enlarged(self._tree.first_child, capacity, box_tree.LEAF),
+            n_children=_enlarged(self._tree.n_children, capacity, 0),
         )
 
 
@@ -292,7 +295,9 @@ def _empty_tree(
     return tree
 
 
-def _enlarged(array: NDArray[Any], size: int, fill: float) -> NDArray[Any]:
-    larger = np.full((size, *array.shape[1:]), fill, dtype=array.dtype)
+def _enlarged(
+    array: NDArray[Any], size: int, fill: float, dtype: type[np.generic] | None = None
+) -> NDArray[Any]:
+    larger = np.full((size, *array.shape[1:]), fill, dtype=dtype or array.dtype)
     larger[: len(array)] = array
     return larger

@@ -20,8 +20,6 @@ def initial_design(kind: Design, n: int, d: int, seed: int) -> Array:
     arguments alone.
     """
     rng = np.random.default_rng([seed, 0])
-    if kind == "latin_hypercube":
-        unit = qmc.LatinHypercube(d, rng=rng).random(n)
-    else:
-        unit = rng.random((n, d))
-    return 2.0 * unit - 1.0
+    spread = kind == "latin_hypercube"
+    unit = qmc.LatinHypercube(d, rng=rng).random(n) if spread else rng.random((n, d))
+    return np.asarray(2.0 * unit - 1.0)

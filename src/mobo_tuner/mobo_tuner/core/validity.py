@@ -76,7 +76,7 @@ class ValidityModel:
         with single_blas_thread():
             free = np.ones(len(start), dtype=np.bool_)
             self._parameters, _ = train_lbfgs(
-                likelihood, np.vstack([start, likelihood.prior_mean]), likelihood.bounds(), free, _TRAINING_STEPS
+                likelihood, start[None], likelihood.bounds(), free, _TRAINING_STEPS
             )
             self._posterior = _LaplacePosterior(kernel, self._parameters, inputs, outcomes)
         return self
@@ -150,12 +150,12 @@ class _Mode:
         fit: log posterior density up to a constant.
     """
 
-    def __init__(self, covariance: FloatArray, valid: FloatArray) -> None:
+    def __init__(self, covariance: FloatArray, valid: FloatArray, start: FloatArray | None = None) -> None:
         n = len(valid)
         self.signs = np.where(valid, 1.0, -1.0)
         # The share of valid ones with one of either kind added, of which there may be none.
         self.offset = float(ndtri((np.count_nonzero(valid) + 1.0) / (n + 2.0)))
-        solution = np.zeros(n)
+        solution = np.zeros(n) if start is None else start
         self._evaluate(covariance, solution)
         for _ in range(_NEWTON_STEPS):
             target = self.root**2 * (covariance @ solution) + self.weights
@@ -187,6 +187,7 @@ class _LaplaceLikelihood:
 
     def __init__(self, kernel: Kernel, x: FloatArray, valid: FloatArray) -> None:
         self.kernel, self.x, self.valid = kernel, x, valid
+        self._start: FloatArray | None = None  # the last mode is near the next one
         d = kernel.d
         self.prior_mean = np.append(np.full(d, 0.5 * np.log(d)), _VARIANCE_PRIOR[0])
         self._prior_stddev = np.append(np.full(d, _LENGTH_SCALE_PRIOR_STDDEV), _VARIANCE_PRIOR[1])
@@ -199,7 +200,8 @@ class _LaplaceLikelihood:
         """Value and gradient by `[Rasmussen2006]_` Algorithm 5.1; O(n^3)."""
         shape, variance = parameters[:-1], np.exp(parameters[-1])
         covariance, slope = _covariance(self.kernel, shape, variance, self.x)
-        mode = _Mode(covariance, self.valid)
+        mode = _Mode(covariance, self.valid, self._start)
+        self._start = mode.weights
         a, root = mode.weights, mode.root
         value = -mode.fit + float(np.log(np.diagonal(mode.lower)).sum())
 
@@ -209,7 +211,7 @@ class _LaplaceLikelihood:
         remaining = np.diagonal(covariance) - np.einsum("ij,ij->j", explained, explained)
         hazard = mode.signs * a
         third = a * ((mode.z + hazard) * (mode.z + 2.0 * hazard) - 1.0)
-        implicit = -0.5 * remaining * third
+        implicit = 0.5 * remaining * third
         implicit = implicit - whole @ (covariance @ implicit)
         contraction = 0.5 * whole - np.multiply.outer(a, 0.5 * a + implicit)
         contraction = 0.5 * (contraction + contraction.T)

@@ -6,14 +6,14 @@ import sys
 import time
 from typing import Any
 
-from mobo_msgs_py.action import Tune
-from mobo_msgs_py.msg import Evaluation, ParetoFront, Problem, RecorderStatus, TunerStatus
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.task import Future
 
+from mobo_msgs_py.action import Tune
+from mobo_msgs_py.msg import Evaluation, ParetoFront, Problem, RecorderStatus, TunerStatus
 from mobo_tuner.nodes.console_view import RunProgress, make_view
 from mobo_tuner.ros.parameters import ParameterSpec, declare
 from mobo_tuner.ros.process import exit_process, run_node
@@ -72,7 +72,7 @@ class Console:
         )
         self._ready_timeout = float(parameters["ready_timeout"])
         self._wait_for_recorder = bool(parameters["wait_for_recorder"])
-        self._interrupt: Future[None] = Future(executor=executor)
+        self._interrupt: Future = Future(executor=executor)
         self._progress = RunProgress(self._goal.run_id, self._goal.evaluations)
         self._view = make_view(self._progress)
         self._recorder: RecorderStatus | None = None

@@ -9,12 +9,13 @@ import sys
 import time
 from typing import TextIO
 
-from mobo_msgs_py.msg import Evaluation, NamedValue, Objective, ParetoFront, Problem, TunerStatus
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
+
+from mobo_msgs_py.msg import Evaluation, NamedValue, Objective, ParetoFront, Problem, TunerStatus
 
 _STATES = {
     TunerStatus.IDLE: "idle",
@@ -233,7 +234,7 @@ def _objectives(progress: RunProgress) -> RenderableType:
             _value(item),
             Text("—" if best is None else f"{best[0]:.4g}", "bold green" if newest else "bold"),
             item.unit,
-            "" if best is None else f"evaluation {best[1] + 1}",
+            "" if best is None else f"index {best[1]}",
         )
     return table
 

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-from mobo_msgs_py.msg import RecorderStatus
 from rclpy.duration import Duration
 from rclpy.executors import Executor
 from rclpy.node import Node
@@ -31,6 +30,7 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import WriterError
 
+from mobo_msgs_py.msg import RecorderStatus
 from mobo_tuner.bag import BagWriter
 from mobo_tuner.ros.definitions import Definition, DefinitionError, find_definition
 from mobo_tuner.ros.parameters import RECORDER, declare

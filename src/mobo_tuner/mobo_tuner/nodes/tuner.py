@@ -6,14 +6,14 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from mobo_msgs_py import msg
-from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.task import Future
 
+from mobo_msgs_py import msg
+from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_tuner.core import Optimizer, ProblemError
 from mobo_tuner.core.dataset import Evaluation
 from mobo_tuner.journal import Journal
@@ -155,9 +155,11 @@ class Tuner:
                 result.error_code = Tune.Result.CANCELED
                 result.error_msg = f"the run was stopped: {run.interrupt.result()}"
         except Exception as error:
-            known = isinstance(error, RunError)
-            result.error_code = error.code if known else Tune.Result.INTERNAL
-            result.error_msg = str(error) if known else f"{type(error).__name__}: {error}"
+            if isinstance(error, RunError):
+                result.error_code, result.error_msg = error.code, str(error)
+            else:
+                result.error_code = Tune.Result.INTERNAL
+                result.error_msg = f"{type(error).__name__}: {error}"
             result.stop_reason = "error"
             self._log.error(f"run '{run.run_id}' ends: {result.error_msg}")
         try:

@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterable, Mapping
 
 from builtin_interfaces.msg import Time
-from mobo_msgs_py import msg
 
+from mobo_msgs_py import msg
 from mobo_tuner.core.dataset import Evaluation
-from mobo_tuner.core.problem import Problem
+from mobo_tuner.core.problem import Constraint, Objective, Observable, Problem, Variable
 
 
 def seconds(stamp: Time) -> float:
@@ -46,7 +46,7 @@ def measurements_of(named: Iterable[msg.NamedValue]) -> dict[str, tuple[float, f
 
 def problem_units(problem: Problem) -> dict[str, str]:
     """The unit of every quantity that the problem names."""
-    quantities = (
+    quantities: tuple[Constraint | Observable | Objective | Variable, ...] = (
         *problem.constraints,
         *problem.observables,
         *problem.objectives,

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from mobo_msgs_py.action import EvaluateSetpoint
-from mobo_msgs_py.srv import DescribeMachine
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.task import Future
 
+from mobo_msgs_py.action import EvaluateSetpoint
+from mobo_msgs_py.srv import DescribeMachine
 from mobo_tuner.core.problem import Problem
 from mobo_tuner.ros.conversions import measurements_of, named_values, problem_units, values_of
 from mobo_tuner.ros.waiting import first_of, until
@@ -57,7 +57,7 @@ class MachineClient:
         self._heard = 0.0  # when the machine was last heard, time.monotonic()
 
     async def describe(
-        self, interrupt: Future[Any], timeout: float
+        self, interrupt: Future, timeout: float
     ) -> DescribeMachine.Response | None:
         """Wait for the machine and ask what it can do; None when interrupted.
 
@@ -90,7 +90,7 @@ class MachineClient:
         index: int,
         setpoint: Mapping[str, float],
         shots: int,
-        interrupt: Future[Any],
+        interrupt: Future,
         on_feedback: FeedbackCallback,
     ) -> Answer:
         """Have one set-point evaluated; when `interrupt` is done the machine is told to stop.
@@ -129,7 +129,7 @@ class MachineClient:
             raise
         return self._answer(finished, goal)
 
-    async def _answered(self, future: Future[Any], interrupt: Future[Any]) -> Future[Any] | None:
+    async def _answered(self, future: Future, interrupt: Future) -> Future | None:
         """Wait for `future`; None when interrupted."""
         started = time.monotonic()
         while True:
@@ -148,7 +148,7 @@ class MachineClient:
             if done is interrupt:
                 return None
 
-    def _answer(self, finished: Future[Any], goal: EvaluateSetpoint.Goal) -> Answer:
+    def _answer(self, finished: Future, goal: EvaluateSetpoint.Goal) -> Answer:
         result: EvaluateSetpoint.Result = finished.result().result
         if (result.run_id, result.index) != (goal.run_id, goal.index):
             raise MachineLostError(
@@ -172,6 +172,6 @@ class MachineClient:
         )
 
     @staticmethod
-    def _cancel_late(sent: Future[Any]) -> None:
+    def _cancel_late(sent: Future) -> None:
         if not sent.cancelled() and sent.exception() is None and sent.result().accepted:
             sent.result().cancel_goal_async()

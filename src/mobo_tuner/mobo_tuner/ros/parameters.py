@@ -177,7 +177,7 @@ def check_section(
     }
 
 
-def declare(node: Node, specs: Sequence[ParameterSpec]) -> dict[str, ParameterValue]:
+def declare(node: Node, specs: Sequence[ParameterSpec]) -> dict[str, Any]:
     """Declare parameters read-only with description and range, and return their values.
 
     Raises:
@@ -215,7 +215,8 @@ def declare_problem(node: Node) -> Problem:
 
     nested: dict[str, Any] = {}
     for section in SECTIONS:
-        for key, parameter in node.get_parameters_by_prefix(section).items():
+        parameters: Mapping[str, Any] = node.get_parameters_by_prefix(section)
+        for key, parameter in parameters.items():
             branch = nested.setdefault(section, {})
             *path, leaf = key.split(".")
             for part in path:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from mobo_msgs_py import msg
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
+from mobo_msgs_py import msg
 from mobo_tuner.core.problem import Problem
 from mobo_tuner.ros.qos import LATCHED, STREAM
 

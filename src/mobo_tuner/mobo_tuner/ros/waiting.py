@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -13,9 +12,9 @@ from rclpy.task import Future
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)  # timeouts are wall time, also in simulated time
 
 
-async def first_of(node: Node, *futures: Future[Any], timeout: float) -> Future[Any] | None:
+async def first_of(node: Node, *futures: Future, timeout: float) -> Future | None:
     """The first of `futures` that is done, or None after `timeout` seconds."""
-    signal: Future[None] = Future(executor=node.executor)
+    signal: Future = Future(executor=node.executor)
 
     def notify(*_: object) -> None:
         if not signal.done():
@@ -36,7 +35,7 @@ async def first_of(node: Node, *futures: Future[Any], timeout: float) -> Future[
 async def until(
     node: Node,
     condition: Callable[[], bool],
-    *futures: Future[Any],
+    *futures: Future,
     timeout: float,
     period: float = 0.05,
 ) -> bool:

@@ -30,9 +30,9 @@ class Worker:
         """Whether submitted work has not finished yet."""
         return self._pending > 0
 
-    def submit(self, function: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+    def submit(self, function: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future:
         """Run `function` in the worker thread; await the future in a coroutine of the executor."""
-        future: Future[T] = Future(executor=self._executor)
+        future: Future = Future(executor=self._executor)
         self._pending += 1
 
         def work() -> None:
