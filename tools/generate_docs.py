@@ -6,7 +6,6 @@ where they are not.
 
 from __future__ import annotations
 
-import math
 import re
 import sys
 from pathlib import Path
@@ -126,8 +125,8 @@ def parameters() -> str:
 
 def _row(spec: ParameterSpec) -> str:
     default = f"`{spec.default}`" if spec.default != "" else "empty"
-    if isinstance(spec.default, float) and not math.isfinite(spec.default):
-        default = "none"
+    if isinstance(spec.default, bool):
+        default = f"`{str(spec.default).lower()}`"
     return (
         f"| `{spec.name}` | {spec.type_name} | {default} | {spec.range_text} | {spec.description} |"
     )

@@ -77,7 +77,8 @@ class Processes:
         for process in self._started:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(timeout=1.0)
-        self._watchdog.communicate(timeout=watchdog.PATIENCE + 10.0)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._watchdog.communicate(timeout=watchdog.PATIENCE + 10.0)
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
 

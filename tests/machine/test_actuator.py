@@ -32,7 +32,9 @@ def test_position_follows_the_lag_equation() -> None:
         return (reference - position) / 1.5
 
     times = np.linspace(0.0, 9.0, 46)
-    solution = solve_ivp(rate, (0.0, 9.0), [400.0], t_eval=times, rtol=1e-9, atol=1e-9, max_step=0.01)
+    solution = solve_ivp(
+        rate, (0.0, 9.0), [400.0], t_eval=times, rtol=1e-9, atol=1e-9, max_step=0.01
+    )
     for i in range(1, len(times)):
         actuator.step(float(times[i] - times[i - 1]))
         assert actuator.position == pytest.approx(float(solution.y[0, i]), abs=1e-4)

@@ -22,7 +22,9 @@ def awa() -> Model:
     return AwaModel()
 
 
-def finish(machine: SimulatedMachine, evaluation: Evaluation, dt: float | None = None) -> EvaluationResult:
+def finish(
+    machine: SimulatedMachine, evaluation: Evaluation, dt: float | None = None
+) -> EvaluationResult:
     for _ in range(100_000):
         if evaluation.result is not None:
             return evaluation.result

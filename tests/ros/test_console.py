@@ -76,10 +76,10 @@ class Session:
         """Let the double live until something happens."""
         self._spin_until(condition, what, timeout)
 
-    def end(self, timeout: float = 20.0) -> int:
-        """The console's exit status; the double lives on until then."""
+    def ends_with(self, status: int, timeout: float = 20.0) -> None:
+        """Check the console's exit status; the double lives on until then."""
         self._spin_until(lambda: not self.process.running, "the console to end", timeout)
-        return self.process.wait()
+        assert self.process.wait() == status, self.process.stderr
 
     @property
     def lines(self) -> list[str]:
@@ -88,9 +88,7 @@ class Session:
 
 
 @pytest.fixture
-def session(
-    start_node: NodeStarter, node: Node, spin_until: SpinUntil
-) -> Iterator[Session]:
+def session(start_node: NodeStarter, node: Node, spin_until: SpinUntil) -> Iterator[Session]:
     """A console to be, and a tuner to be."""
     session = Session(start_node, node, spin_until)
     yield session
@@ -100,7 +98,7 @@ def session(
 def test_a_run_is_shown_line_by_line_and_ends_with_0(session: Session) -> None:
     session.tuner_behaves()
     session.start(evaluations=4)
-    assert session.end() == 0
+    session.ends_with(0)
     assert [(g.run_id, g.evaluations) for g in session.tuner.goals] == [("run1", 4)]
     shown = [line for line in session.lines if line.startswith("evaluation")]
     assert shown == [
@@ -122,14 +120,14 @@ def test_one_way_of_hearing_of_evaluations_is_enough(session: Session, way: str)
     ways = {"publishes_topic": False, "publishes_feedback": False} | {way: True}
     session.tuner_behaves(**ways)
     session.start(evaluations=3)
-    assert session.end() == 0
+    session.ends_with(0)
     assert len([line for line in session.lines if line.startswith("evaluation")]) == 3
 
 
 def test_without_parameters_the_run_gets_a_name_and_the_tuners_budget(session: Session) -> None:
     session.tuner_behaves()
     session.start(run_id="''", evaluations=0)
-    assert session.end() == 0
+    session.ends_with(0)
     (goal,) = session.tuner.goals
     assert re.fullmatch(r"\d{8}-\d{6}-run-[0-9a-f]{4}", goal.run_id)
     assert goal.evaluations == 0
@@ -145,7 +143,7 @@ def test_it_waits_until_the_recorder_records_the_run(session: Session) -> None:
     )
     assert session.tuner.goals == []
     session.recorder_says(recording=True, topics=RECORDED)
-    assert session.end() == 0
+    session.ends_with(0)
     assert len(session.tuner.goals) == 1
 
 
@@ -170,28 +168,28 @@ def test_a_recorder_that_is_not_ready_is_an_error(
     if status is not None:
         session.recorder_says(**status)
     session.start(recorder=True, ready_timeout=4.0)
-    assert session.end() == 1
+    session.ends_with(1)
     assert session.process.stderr.strip() == message
     assert session.tuner.goals == []
 
 
 def test_a_missing_tuner_is_an_error(session: Session) -> None:
     session.start(ready_timeout=1.0)
-    assert session.end() == 1
+    session.ends_with(1)
     assert session.process.stderr.strip() == "no tuner was found within 1 s"
 
 
 def test_a_goal_that_is_refused_is_an_error(session: Session) -> None:
     session.tuner_behaves(accepts=False)
     session.start()
-    assert session.end() == 1
+    session.ends_with(1)
     assert session.process.stderr.strip() == "the tuner refused the goal"
 
 
 def test_an_error_of_the_run_is_one_sentence_after_what_was_reached(session: Session) -> None:
     session.tuner_behaves(fail_after=2)
     session.start()
-    assert session.end() == 1
+    session.ends_with(1)
     assert session.process.stderr.strip() == "the machine is gone"
     assert session.lines[-1] == (
         "run run1 broke off: 2 evaluations, hypervolume 101, 2 on the Pareto front"
@@ -206,7 +204,7 @@ def test_a_signal_cancels_the_run_and_shows_what_was_reached(
     session.start(evaluations=1000)
     session.spin_until(lambda: "evaluation    2 of" in session.process.stdout, "two evaluations")
     session.process.popen.send_signal(number)
-    assert session.end(timeout=4.0) == 130
+    session.ends_with(130, timeout=4.0)
     assert session.tuner.cancels == 1
     assert re.fullmatch(
         r"run run1 was canceled: \d+ evaluations, hypervolume \d+, \d+ on the Pareto front",
@@ -222,7 +220,7 @@ def test_a_signal_before_the_goal_sends_none(session: Session) -> None:
         lambda: "waiting for the recorder" in session.process.stdout, "the console to wait"
     )
     session.process.popen.send_signal(signal.SIGINT)
-    assert session.end(timeout=4.0) == 130
+    session.ends_with(130, timeout=4.0)
     assert session.tuner.goals == []
 
 
@@ -231,20 +229,20 @@ def test_a_tuner_that_does_not_heed_the_cancel_is_not_waited_for(session: Sessio
     session.start(evaluations=1000)
     session.spin_until(lambda: "evaluation    1 of" in session.process.stdout, "an evaluation")
     session.process.popen.send_signal(signal.SIGINT)
-    assert session.end(timeout=4.0) == 130
+    session.ends_with(130, timeout=4.0)
     assert session.lines[-1] == "canceled, but the tuner did not answer within 1.5 s"
 
 
 def test_a_tuner_that_falls_silent_is_an_error(session: Session) -> None:
     session.tuner_behaves(silent_after=1)
     session.start()
-    assert session.end() == 1
+    session.ends_with(1)
     assert session.process.stderr.strip() == "the tuner has been silent for 5 s: it is gone"
 
 
 def test_a_run_id_that_is_no_folder_name_is_refused(session: Session) -> None:
     session.start(run_id="../etc")
-    assert session.end() == 2
+    session.ends_with(2)
     assert session.process.stderr.startswith("cannot start: run_id is '../etc'; letters")
 
 
@@ -265,7 +263,7 @@ def test_the_terminal_view(session: Session) -> None:
     try:
         session.start(evaluations=4, terminal=theirs, TERM="xterm-256color", COLUMNS="100")
         os.close(theirs)
-        assert session.end() == 0
+        session.ends_with(0)
     finally:
         session.process.kill()
         reader.join(5.0)

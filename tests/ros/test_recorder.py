@@ -99,7 +99,9 @@ def read_with_rosbags(bag: Path) -> dict[str, list[Any]]:
     return messages
 
 
-def read_with_mcap(bag: Path, reader_class: Callable[..., Any] = make_reader) -> dict[str, list[Any]]:
+def read_with_mcap(
+    bag: Path, reader_class: Callable[..., Any] = make_reader
+) -> dict[str, list[Any]]:
     """The same with the independent reader."""
     messages: dict[str, list[Any]] = {}
     with (bag / f"{bag.name}.mcap").open("rb") as file:
@@ -156,7 +158,11 @@ def test_the_bag_tells_types_hashes_and_offered_qos(
     sensor = node.create_publisher(Clock, "sensor", qos_profile_sensor_data)
     recording = record()
     recording.wait_for(problems, evaluations, sensor)
-    for publisher, message in ((problems, Problem()), (evaluations, Evaluation()), (sensor, Clock())):
+    for publisher, message in (
+        (problems, Problem()),
+        (evaluations, Evaluation()),
+        (sensor, Clock()),
+    ):
         publisher.publish(message)
     assert recording.process.stop() == 0
 
@@ -300,9 +306,7 @@ def test_an_existing_bag_is_not_overwritten(start_node: NodeStarter, tmp_path: P
     assert [p.read_bytes() for p in bag.iterdir()] == [b"precious"]
 
 
-def test_a_bag_that_cannot_be_made_is_one_sentence(
-    start_node: NodeStarter, tmp_path: Path
-) -> None:
+def test_a_bag_that_cannot_be_made_is_one_sentence(start_node: NodeStarter, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     bag = tmp_path / "file" / "bag"
     message = refused(start_node, str(bag))

@@ -108,10 +108,8 @@ class TunerDouble:
                 result.error_msg = "the machine is gone"
                 break
             self._silent = self._silent or behaviour.silent_after == index
-            never: Future[None] = Future(executor=self._node.executor)
-            await first_of(
-                self._node, never, timeout=3600.0 if self._silent else behaviour.seconds
-            )
+            never: Future = Future(executor=self._node.executor)
+            await first_of(self._node, never, timeout=3600.0 if self._silent else behaviour.seconds)
             if goal_handle.is_cancel_requested and behaviour.heeds_cancel:
                 result.stop_reason = "canceled"
                 result.error_code = Tune.Result.CANCELED

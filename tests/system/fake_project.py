@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from tools.environment import STAGES, Environment
+from tools.environment import DEVELOPMENT_STAGES, STAGES, Environment
 
 ROOT = Path(__file__).resolve().parents[2]
 TIMEOUT = 20.0  # [s] for anything to happen
@@ -46,6 +46,11 @@ if name == "check_config":
     if behaviour == "refuse":
         sys.exit("reference of eps_x is 1.0; it must lie in its truncation box")
     sys.exit(0)
+if name == "pytest":
+    print(*sys.argv[sys.argv.index("-m") + 2 :], os.environ.get("PYTHONPATH"))
+    if behaviour == "wait":
+        time.sleep(60)
+    sys.exit(5)
 if name == "report":
     if behaviour == "crash":
         sys.exit("the journal is damaged")
@@ -88,15 +93,16 @@ class FakeProject:
         shutil.copytree(ROOT / "tools", root / "tools")
         (root / "config").mkdir()
         (root / "config" / "awa.yaml").write_text("/**: {}\n")
-        for source in {source for stage in STAGES for source in stage.sources}:
+        stages = (*STAGES, *DEVELOPMENT_STAGES)
+        for source in {source for stage in stages for source in stage.sources}:
             (root / source).mkdir(parents=True) if "/" in source else (root / source).touch()
         player = root / "player.py"
         player.write_text(PLAYER)
-        environment = Environment(root, STAGES)
+        environment = Environment(root, stages)
         environment.python.parent.mkdir(parents=True)
         environment.python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{player}" "$@"\n')
         environment.python.chmod(0o755)
-        for stage in STAGES:
+        for stage in stages:
             environment.mark_done(stage, environment.fingerprint(stage))
 
     def start(self, *arguments: str, **behaviour: str) -> subprocess.Popen[str]:

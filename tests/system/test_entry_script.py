@@ -265,6 +265,26 @@ def test_a_killed_entry_script_leaves_no_process(project: FakeProject) -> None:
     assert " died " in output
 
 
+# ------------------------------------------------------------------ test
+
+
+def test_the_tests_get_their_arguments_and_give_their_status(
+    project: FakeProject, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", "elsewhere")
+    assert project.run("test", "-k", "name", "--help") == (5, "-k name --help None\n", "")
+    assert project.run("test") == (5, "-n 2 --dist loadfile None\n", "")
+
+
+def test_interrupted_tests_end(project: FakeProject) -> None:
+    process = project.start("test", pytest="wait")
+    wait_until(lambda: bool(project.alive()), "pytest")
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=TIMEOUT)
+    assert (process.returncode, errors) == (130, "mobo.py: stopped by SIGINT\n")
+    assert project.alive() == []
+
+
 # ------------------------------------------------------------------ list and show
 
 SUMMARY = {

@@ -110,14 +110,14 @@ class SimulatedMachine:
         times = [self._time_to_shot]
         for actuator in self._actuators.values():
             if not actuator.settled:
-                times.append(actuator.time_to_ramped if actuator.ramping else actuator.time_to_settled)
+                times.append(
+                    actuator.time_to_ramped if actuator.ramping else actuator.time_to_settled
+                )
         return min(times)
 
     def readbacks(self) -> dict[str, float]:
         """Return every variable as its own instrument shows it now."""
-        return {
-            name: self._readback(name, self._look_rng) for name in self._actuators
-        }
+        return {name: self._readback(name, self._look_rng) for name in self._actuators}
 
     def move(self, setpoint: Mapping[str, float]) -> float:
         """Start moving to ``setpoint``, without measuring there.
@@ -134,12 +134,16 @@ class SimulatedMachine:
         """
         targets = self._checked(setpoint)
         if self.busy:
-            raise RuntimeError("the machine is busy: stop it, or let it finish, before it moves again")
+            raise RuntimeError(
+                "the machine is busy: stop it, or let it finish, before it moves again"
+            )
         for name, target in targets.items():
             self._actuators[name].set(target)
         return max(actuator.time_to_settled for actuator in self._actuators.values())
 
-    def start_evaluation(self, setpoint: Mapping[str, float], shots: int | None = None) -> Evaluation:
+    def start_evaluation(
+        self, setpoint: Mapping[str, float], shots: int | None = None
+    ) -> Evaluation:
         """Start an evaluation: go to ``setpoint``, settle, and average some shots.
 
         Args:

@@ -33,7 +33,9 @@ class Model(ABC):
 
 _SOLENOID = ActuatorParameters(slew_rate=8.0, time_constant=1.5, tolerance=0.1, readback_noise=0.05)
 _PHASE = ActuatorParameters(slew_rate=7.0, time_constant=0.16, tolerance=0.05, readback_noise=0.02)
-_GRADIENT = ActuatorParameters(slew_rate=1.0, time_constant=1.25, tolerance=0.05, readback_noise=0.01)
+_GRADIENT = ActuatorParameters(
+    slew_rate=1.0, time_constant=1.25, tolerance=0.05, readback_noise=0.01
+)
 
 
 class AwaModel(Model):

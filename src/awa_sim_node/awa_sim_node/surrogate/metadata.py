@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 DEFAULT_CHARGE: Final = 40.0
@@ -45,7 +47,9 @@ class Output:
 
 
 SETTINGS: Final = (
-    Input("K1", "A", (392.5, 557.5), (400.0, 550.0), "current of the bucking and focusing solenoid"),
+    Input(
+        "K1", "A", (392.5, 557.5), (400.0, 550.0), "current of the bucking and focusing solenoid"
+    ),
     Input("K2", "A", (175.0, 285.0), (180.0, 280.0), "current of the matching solenoid"),
     Input("phi1", "deg", (-10.5, 0.5), (-10.0, 0.0), "gun phase from crest"),
     Input("phi2", "deg", (-10.5, 0.5), (-10.0, 0.0), "linac phase from crest"),
@@ -57,7 +61,9 @@ SETTINGS: Final = (
 INPUTS: Final = (
     *SETTINGS,
     Input("charge", "nC", (30.0, 50.0), (30.0, 50.0), "bunch charge"),
-    Input("coupler_kick", "mT", (0.0, 2.5), (0.0, 2.5), "integrated quadrupole kick of the coupler"),
+    Input(
+        "coupler_kick", "mT", (0.0, 2.5), (0.0, 2.5), "integrated quadrupole kick of the coupler"
+    ),
 )
 """All inputs of the surrogate, in its order."""
 
@@ -73,3 +79,15 @@ OUTPUTS: Final = (
     Output("transmission", "", "fraction of the bunch that reaches the screen"),
 )
 """All outputs of the surrogate, in its order."""
+
+TRAINED_FILE: Final = Path(__file__).with_name("trained.json")
+"""What the training found out: held-out errors and the ranges of the outputs."""
+
+
+def output_ranges() -> dict[str, tuple[float, float]]:
+    """Return the least and greatest value of each output over the machine's limits, in its unit.
+
+    They map every output to [-1, 1], as in the paper.
+    """
+    ranges = json.loads(TRAINED_FILE.read_text())["output_ranges"]
+    return {output.name: (ranges[output.name][0], ranges[output.name][1]) for output in OUTPUTS}

@@ -16,6 +16,7 @@ tabulated values hold theirs.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ _SQRT_HALF = math.sqrt(0.5)
 _DENSITY_AT_ZERO = 1.0 / math.sqrt(2.0 * math.pi)
 _TAIL_FROM = 5.0
 _UNDERFLOW_FROM = 39.0
+_ROOT: Any = np.uint64(0)  # the type of the other nodes, so that `_box` is compiled once
 _SMALLEST_STDDEV = 1e-250  # below it a prediction counts as certain: z would overflow
 
 
@@ -155,63 +157,7 @@ def _fill_tables(
 
 
 @compiled
-def _box(tree: BoxTree, values: FloatArray, node: int) -> float:
-    product = 1.0
-    for j in range(values.shape[1]):
-        product *= values[tree.upper[node, j], j] - values[tree.lower[node, j], j]
-    return product
-
-
-@compiled
-def _sum_over_boxes(
-    tree: BoxTree,
-    values: FloatArray,
-    tolerance: float,
-    stack: NDArray[np.int32],
-    bounds: FloatArray,
-) -> float:
-    """Return sum_b prod_j (G_j(u_bj) - G_j(l_bj)), at most a share `tolerance` too small.
-
-    What a branch can add is bounded by prod_j G_j(u_j) at its top. A branch is passed over when all
-    that was passed over so far stays below the tolerated share of the sum.
-    """
-    if tree.first_child[0] == LEAF:
-        return _box(tree, values, 0)
-    bound = 1.0
-    for j in range(values.shape[1]):
-        bound *= values[j, j]
-    stack[0] = 0
-    bounds[0] = bound
-    size = 1
-    total = 0.0
-    neglected = 0.0
-    while size > 0:
-        size -= 1
-        node = stack[size]
-        bound = bounds[size]
-        if neglected + bound <= tolerance * total:
-            neglected += bound
-            continue
-        first = tree.first_child[node]
-        for child in range(first, first + tree.n_children[node]):
-            axis = tree.axis[child]
-            factor = values[tree.upper[child, axis], axis]
-            if factor <= 0.0:
-                continue
-            child_bound = bound * (factor / values[tree.upper[node, axis], axis])
-            if tree.first_child[child] != LEAF:
-                stack[size] = child
-                bounds[size] = child_bound
-                size += 1
-            elif neglected + child_bound <= tolerance * total:
-                neglected += child_bound
-            else:
-                total += _box(tree, values, child)
-    return total
-
-
-@compiled
-def _box_with_gradient(
+def _box(
     tree: BoxTree,
     values: FloatArray,
     slopes: FloatArray,
@@ -219,12 +165,14 @@ def _box_with_gradient(
     before: FloatArray,
     gradient: FloatArray,
 ) -> float:
-    """Do as `_box`, and add the box's derivatives to `gradient` `(P, 2)`; `before` is `(P,)`."""
+    """Return prod_j (G_j(u_j) - G_j(l_j)) of one box, and add its derivatives to `gradient`."""
     n_objectives = values.shape[1]
     product = 1.0
     for j in range(n_objectives):
         before[j] = product
         product *= values[tree.upper[node, j], j] - values[tree.lower[node, j], j]
+    if len(slopes) == 0:
+        return product
     after = 1.0
     for j in range(n_objectives - 1, -1, -1):
         above = tree.upper[node, j]
@@ -237,7 +185,7 @@ def _box_with_gradient(
 
 
 @compiled
-def _sum_over_boxes_with_gradient(
+def _sum_over_boxes(
     tree: BoxTree,
     values: FloatArray,
     slopes: FloatArray,
@@ -246,14 +194,28 @@ def _sum_over_boxes_with_gradient(
     bounds: FloatArray,
     gradient: FloatArray,
 ) -> float:
-    """Do as `_sum_over_boxes`, and write the derivatives to `gradient` `(P, 2)`: mean, stddev."""
-    before = np.empty(values.shape[1])
-    gradient[:] = 0.0
-    if tree.first_child[0] == LEAF:
-        return _box_with_gradient(tree, values, slopes, 0, before, gradient)
+    """Return sum_b prod_j (G_j(u_bj) - G_j(l_bj)), at most a share `tolerance` too small.
+
+    What a branch can add is bounded by prod_j G_j(u_j) at its top. A branch is passed over when all
+    that was passed over so far stays below the tolerated share of the sum.
+
+    Args:
+        tree: the boxes.
+        values: `(k, P)`, G at the levels.
+        slopes: `(k, P, 2)`, its derivatives in mean and stddev, or `(0, P, 2)`.
+        tolerance: relative.
+        stack: work space for `k P` nodes.
+        bounds: as long as `stack`.
+        gradient: `(P, 2)`, the derivatives of the sum, written unless `slopes` is empty.
+    """
+    n_objectives = values.shape[1]
+    before = np.empty(n_objectives)
     bound = 1.0
-    for j in range(values.shape[1]):
+    for j in range(n_objectives):
         bound *= values[j, j]
+        gradient[j, 0] = gradient[j, 1] = 0.0
+    if tree.first_child[0] == LEAF:
+        return _box(tree, values, slopes, _ROOT, before, gradient)
     stack[0] = 0
     bounds[0] = bound
     size = 1
@@ -280,7 +242,7 @@ def _sum_over_boxes_with_gradient(
             elif neglected + child_bound <= tolerance * total:
                 neglected += child_bound
             else:
-                total += _box_with_gradient(tree, values, slopes, child, before, gradient)
+                total += _box(tree, values, slopes, child, before, gradient)
     return total
 
 
@@ -292,39 +254,31 @@ def expected_improvements(
     stddev: FloatArray,
     floor: FloatArray,
     tolerance: float,
-) -> FloatArray:
-    """Evaluate the expected hypervolume improvement, `(m, P) -> (m,)`."""
-    values = np.empty(levels.shape)
-    no_slopes = np.empty((0, levels.shape[1], 2))
-    stack = np.empty(levels.size, np.int32)
-    bounds = np.empty(levels.size)
-    improvements = np.empty(len(mean))
-    for i in range(len(mean)):
-        _fill_tables(levels, mean[i], stddev[i], floor, values, no_slopes)
-        improvements[i] = max(0.0, _sum_over_boxes(tree, values, tolerance, stack, bounds))
-    return improvements
-
-
-@compiled
-def expected_improvements_with_gradient(
-    tree: BoxTree,
-    levels: FloatArray,
-    mean: FloatArray,
-    stddev: FloatArray,
-    floor: FloatArray,
-    tolerance: float,
+    with_gradient: bool,
 ) -> tuple[FloatArray, FloatArray]:
-    """Evaluate the improvement and its gradient in mean and stddev, `(m, P) -> (m,), (m, P, 2)`."""
-    values = np.empty(levels.shape)
-    slopes = np.empty((levels.shape[0], levels.shape[1], 2))
-    stack = np.empty(levels.size, np.int32)
-    bounds = np.empty(levels.size)
+    """Evaluate the expected hypervolume improvement of m candidates.
+
+    Args:
+        tree: the boxes.
+        levels: `(k, P)`.
+        mean: `(m, P)`.
+        stddev: `(m, P)`.
+        floor: `(P,)`, see `_fill_tables`.
+        tolerance: relative.
+        with_gradient: whether the second result is wanted.
+
+    Returns:
+        The improvements `(m,)`, and `(m, P, 2)` their derivatives in mean and stddev, or zero.
+    """
+    n_levels, n_objectives = levels.shape
+    values = np.empty((n_levels, n_objectives))
+    slopes = np.empty((n_levels if with_gradient else 0, n_objectives, 2))
+    stack = np.empty(n_levels * n_objectives, np.int32)
+    bounds = np.empty(n_levels * n_objectives)
     improvements = np.empty(len(mean))
-    gradients = np.empty((mean.shape[0], mean.shape[1], 2))
+    gradients = np.empty((len(mean), n_objectives, 2))
     for i in range(len(mean)):
         _fill_tables(levels, mean[i], stddev[i], floor, values, slopes)
-        improvement = _sum_over_boxes_with_gradient(
-            tree, values, slopes, tolerance, stack, bounds, gradients[i]
-        )
+        improvement = _sum_over_boxes(tree, values, slopes, tolerance, stack, bounds, gradients[i])
         improvements[i] = max(0.0, improvement)  # rounding can leave a tiny negative sum
     return improvements, gradients

@@ -160,7 +160,7 @@ class BoxDecomposition:
             ValueError: if a shape does not fit or a value is NaN.
         """
         candidates = self._predictions(candidates, "candidates")
-        return self._expected(candidates, np.zeros_like(candidates), lower)
+        return self._expected(candidates, np.zeros_like(candidates), lower)[0]
 
     def improvement_with_gradient(
         self, candidates: ArrayLike, lower: ArrayLike | None = None
@@ -171,8 +171,8 @@ class BoxDecomposition:
         one of the two one-sided ones.
         """
         candidates = self._predictions(candidates, "candidates")
-        improvements, gradients = self._expected_with_gradient(
-            candidates, np.zeros_like(candidates), lower
+        improvements, gradients = self._expected(
+            candidates, np.zeros_like(candidates), lower, with_gradient=True
         )
         return improvements, gradients[:, :, 0]
 
@@ -195,7 +195,7 @@ class BoxDecomposition:
         Raises:
             ValueError: if a shape does not fit, a value is NaN or a standard deviation negative.
         """
-        return self._expected(*self._moments(mean, stddev), lower)
+        return self._expected(*self._moments(mean, stddev), lower)[0]
 
     def expected_improvement_with_gradient(
         self, mean: ArrayLike, stddev: ArrayLike, lower: ArrayLike | None = None
@@ -205,12 +205,18 @@ class BoxDecomposition:
         Returns:
             `(m,)`, `(m, P)` and `(m, P)`.
         """
-        improvements, gradients = self._expected_with_gradient(*self._moments(mean, stddev), lower)
+        improvements, gradients = self._expected(
+            *self._moments(mean, stddev), lower, with_gradient=True
+        )
         return improvements, gradients[:, :, 0], gradients[:, :, 1]
 
     def _expected(
-        self, mean: FloatArray, stddev: FloatArray, lower: ArrayLike | None
-    ) -> FloatArray:
+        self,
+        mean: FloatArray,
+        stddev: FloatArray,
+        lower: ArrayLike | None,
+        with_gradient: bool = False,
+    ) -> tuple[FloatArray, FloatArray]:
         return box_sums.expected_improvements(
             self._tree,
             self._levels[: self._n_levels],
@@ -218,18 +224,7 @@ class BoxDecomposition:
             stddev,
             self._floor(lower),
             _RELATIVE_TOLERANCE,
-        )
-
-    def _expected_with_gradient(
-        self, mean: FloatArray, stddev: FloatArray, lower: ArrayLike | None
-    ) -> tuple[FloatArray, FloatArray]:
-        return box_sums.expected_improvements_with_gradient(
-            self._tree,
-            self._levels[: self._n_levels],
-            mean,
-            stddev,
-            self._floor(lower),
-            _RELATIVE_TOLERANCE,
+            with_gradient,
         )
 
     def _predictions(self, values: ArrayLike, name: str) -> FloatArray:

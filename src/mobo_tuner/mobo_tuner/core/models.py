@@ -1,4 +1,4 @@
-"""The Gaussian processes of a run: one for each objective and each constrained diagnostic."""
+"""The models of a run: a Gaussian process for each objective and each constrained diagnostic, and validity."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from mobo_tuner.core.dataset import Dataset
 from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.presets import OptimizerSettings
 from mobo_tuner.core.problem import Array, Problem
+from mobo_tuner.core.validity import ValidityModel
 
 
 class Models:
@@ -40,6 +41,8 @@ class Models:
             for c in problem.constraints
             if c.name not in self._signs
         }
+        self.validity = ValidityModel()
+        self._judged = 0  # number of evaluations that the model of validity holds
         self._trained = 0  # number of valid evaluations at the last training
         self._held = 0  # number of valid evaluations that the models hold
 
@@ -65,10 +68,13 @@ class Models:
         return limits
 
     def update(self, data: Dataset) -> None:
-        """Learn the valid evaluations that are new, training when it is time to.
+        """Learn the evaluations that are new, training when it is time to.
 
         What it does depends on `data` and on when it was called before, on nothing else.
         """
+        if len(data) > self._judged:
+            self.validity.fit(data.inputs, data.valid)
+            self._judged = len(data)
         rows = np.flatnonzero(data.valid)
         count = len(rows)
         if count == self._held:
@@ -97,12 +103,18 @@ class Models:
         return {
             "trained": self._trained,
             "held": self._held,
+            "judged": self._judged,
+            "validity": self.validity.get_state(),
             "processes": {name: p.get_state() for name, p in self._processes.items()},
         }
 
     def set_state(self, state: dict[str, Any], data: Dataset) -> None:
         """Be as the models that `get_state` came from, given the data that they had learned from."""
         self._trained, self._held = state["trained"], state["held"]
+        self._judged = state["judged"]
+        self.validity = ValidityModel.from_state(
+            state["validity"], data.inputs[: self._judged], data.valid[: self._judged]
+        )
         rows = np.flatnonzero(data.valid)[: self._held]
         for name in self._processes:
             y, stddev = self._observations(name, data)

@@ -171,7 +171,9 @@ class Console:
         finished = handle.get_result_async()
         while await first_of(self.node, finished, self._interrupt, timeout=REFRESH_PERIOD) is None:
             if time.monotonic() - self._last_status > SILENCE_TIMEOUT:
-                raise ConsoleError(f"the tuner has been silent for {SILENCE_TIMEOUT:g} s: it is gone")
+                raise ConsoleError(
+                    f"the tuner has been silent for {SILENCE_TIMEOUT:g} s: it is gone"
+                )
         if not finished.done():
             handle.cancel_goal_async()
         return self._judge((await finished).result)

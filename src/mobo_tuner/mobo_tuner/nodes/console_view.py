@@ -195,7 +195,7 @@ def _bar(progress: RunProgress) -> RenderableType:
     row = Table.grid(padding=(0, 2, 0, 0))
     row.add_row(
         f"evaluation [bold]{progress.evaluations}[/bold] of {progress.budget}",
-        ProgressBar(total=max(progress.budget, 1), completed=progress.evaluations, width=36),
+        ProgressBar(total=max(progress.budget, 1), completed=progress.evaluations, width=30),
         f"[dim]{_duration(elapsed)}, about {_duration(left)} left[/dim]",
     )
     return row
@@ -211,8 +211,8 @@ def _figures(progress: RunProgress) -> RenderableType:
         (f"   {progress.feasible} feasible", "dim"),
         (f"   {progress.failed} failed", failed_style),
         (
-            f"   suggestion {progress.last.suggest_seconds:.2f} s"
-            f" (median {progress.suggest_median:.2f} s)",
+            f"\nsuggestion {progress.last.suggest_seconds:.2f} s,"
+            f" median {progress.suggest_median:.2f} s",
             "dim",
         ),
     )

@@ -195,9 +195,9 @@ class Recorder:
             )
         )
 
-    def _drained(self) -> Future[None]:
+    def _drained(self) -> Future:
         """A future that is done once no message came for a moment, or time is up."""
-        done: Future[None] = Future(executor=self._executor)
+        done: Future = Future(executor=self._executor)
         started = latest = time.monotonic()
         count = self._bag.message_count
 

@@ -64,7 +64,10 @@ class ParameterSpec:
         """What is allowed, in words; empty where everything is."""
         if self.choices:
             return ", ".join(self.choices)
-        low, high = f"{self.minimum:g}", f"{self.maximum:g}"
+        low, high = (
+            f"{end:.0f}" if math.isfinite(end) and end == round(end) else f"{end:g}"
+            for end in (self.minimum, self.maximum)
+        )
         if math.isfinite(self.minimum) and math.isfinite(self.maximum):
             return f"{low} to {high}"
         if math.isfinite(self.minimum):

@@ -1,0 +1,133 @@
+"""The trained surrogate: eight inputs in, nine outputs at the screen out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from awa_sim_node.surrogate.metadata import (
+    DEFAULT_CHARGE,
+    DEFAULT_COUPLER_KICK,
+    INPUTS,
+    OUTPUTS,
+)
+from awa_sim_node.surrogate.network import EnsembleNetwork
+
+WEIGHTS_FILE: Final = "weights.npz"
+
+_NAMES: Final = tuple(quantity.name for quantity in INPUTS)
+
+
+class Surrogate:
+    """The AWA-like injector as a function: the mean over an ensemble of networks.
+
+    It answers within the box it was trained in, and nowhere else.
+    """
+
+    defaults: Final[Mapping[str, float]] = {
+        "charge": DEFAULT_CHARGE,
+        "coupler_kick": DEFAULT_COUPLER_KICK,
+    }
+    """Values of the inputs that need not be given."""
+
+    def __init__(self, network: EnsembleNetwork) -> None:
+        """Take a trained network, in double precision."""
+        self._network = network.eval()
+        self._low, self._high = np.array([quantity.training_range for quantity in INPUTS]).T
+
+    @classmethod
+    def load(cls, folder: Path = Path(__file__).parent) -> Surrogate:
+        """Load the weights of the project's own surrogate, or those in ``folder``."""
+        with np.load(folder / WEIGHTS_FILE, allow_pickle=False) as file:
+            state = {name: torch.as_tensor(file[name]) for name in file.files}
+        members, _, hidden = state["weights.0"].shape
+        network = EnsembleNetwork(members, hidden)
+        network.load_state_dict(state)
+        return cls(network.double())
+
+    def predict(self, inputs: Mapping[str, ArrayLike]) -> dict[str, Any]:
+        """Predict the beam at the screen.
+
+        Args:
+            inputs: Floats, or arrays of one length, in physical units (A, deg, MV/m, nC, mT); ``charge`` and
+                ``coupler_kick`` may be left out.
+
+        Returns:
+            ``sigma_x``, ``sigma_y``, ``sigma_z`` [mm], ``eps_x``, ``eps_y``, ``eps_z`` [mm mrad], ``dE``,
+            ``energy`` [MeV] and ``transmission`` [1]: floats, or arrays if an input is one.
+
+        Raises:
+            ValueError: If an input is missing, unknown, not finite or outside its training range.
+        """
+        unknown = sorted(set(inputs) - set(_NAMES))
+        if unknown:
+            raise ValueError(f"input {unknown[0]!r} must be one of {', '.join(_NAMES)}")
+        given = {**self.defaults, **inputs}
+        missing = [name for name in _NAMES if name not in given]
+        if missing:
+            raise ValueError(f"input {missing[0]!r} must be given")
+        columns = [np.asarray(given[name], dtype=np.float64) for name in _NAMES]
+        lengths = sorted({column.size for column in columns if column.ndim > 0})
+        if any(column.ndim > 1 for column in columns) or len(lengths) > 1:
+            raise ValueError("inputs must be numbers or one-dimensional arrays of one length")
+        predicted = self.predict_array(
+            np.stack(np.broadcast_arrays(*columns), axis=-1).reshape(-1, 8)
+        )
+        if lengths:
+            return {o.name: predicted[:, j].copy() for j, o in enumerate(OUTPUTS)}
+        return {o.name: float(predicted[0, j]) for j, o in enumerate(OUTPUTS)}
+
+    def predict_array(self, inputs: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Predict the beam at the screen for n points at once.
+
+        Args:
+            inputs: All eight inputs, in the order of ``metadata.INPUTS``, ``(n, 8)``.
+
+        Returns:
+            All nine outputs, in the order of ``metadata.OUTPUTS``, ``(n, 9)``.
+
+        Raises:
+            ValueError: If the shape is wrong, or a value is not finite or outside its training range.
+        """
+        inputs = np.asarray(inputs, dtype=np.float64)
+        if inputs.ndim != 2 or inputs.shape[1] != len(INPUTS):
+            raise ValueError(
+                f"inputs of shape {inputs.shape} must have the shape (n, {len(INPUTS)})"
+            )
+        self._refuse_extrapolation(inputs)
+        with torch.inference_mode():
+            points = torch.from_numpy(inputs)
+            beam = self._network(points, torch.ones(len(points), dtype=torch.float64))
+            return combine(beam.logs[:, :, 0], beam.log_transmission)
+
+    def _refuse_extrapolation(self, inputs: NDArray[np.float64]) -> None:
+        outside = ~((inputs >= self._low) & (inputs <= self._high))
+        if not outside.any():
+            return
+        row, column = np.argwhere(outside)[0]
+        quantity = INPUTS[column]
+        raise ValueError(
+            f"{quantity.name} = {inputs[row, column]:g} {quantity.unit} is outside the range the surrogate was "
+            f"trained in, {self._low[column]:g} to {self._high[column]:g} {quantity.unit}"
+        )
+
+
+def combine(logs: Tensor, log_transmission: Tensor) -> NDArray[np.float64]:
+    """Average the members of an ensemble.
+
+    Args:
+        logs: Logs of the first eight outputs at the screen, ``(M, n, 8)``.
+        log_transmission: Log of the transmission, ``(M, n)``.
+
+    Returns:
+        The geometric mean of the first eight outputs, and the mean of the transmission, ``(n, 9)``.
+    """
+    outputs = torch.exp(logs.mean(dim=0))
+    transmission = torch.exp(log_transmission).mean(dim=0)
+    return np.asarray(torch.cat([outputs, transmission[:, None]], dim=1).numpy(), dtype=np.float64)
