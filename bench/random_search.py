@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from awa_sim_node.surrogate import Surrogate, output_ranges
+from awa_sim_node.surrogate import Surrogate
+from awa_sim_node.surrogate.metadata import output_ranges
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.core.hypervolume import hypervolume
 

@@ -7,6 +7,7 @@ import itertools
 import os
 import tempfile
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -17,6 +18,11 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from ros_support import TIMEOUT, NodeStarter
+
+# Loading the support of a ROS type imports lark, whose deprecated imports are not ours to mend.
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", DeprecationWarning)
+    import lark  # noqa: F401
 
 # Domain 0 is everybody's; above 101 the ports of a domain collide with Linux's ephemeral ones.
 DOMAINS = range(1, 102)

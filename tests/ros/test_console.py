@@ -31,6 +31,7 @@ class Session:
         self._spin_until = spin_until
         self.process: NodeProcess
         self._tuner: TunerDouble | None = None
+        self._recorder = node.create_publisher(RecorderStatus, "recorder_status", LATCHED)
 
     def tuner_behaves(self, **behaviour: Any) -> None:
         """Offer the `tune` action."""
@@ -49,8 +50,7 @@ class Session:
 
     def recorder_says(self, **status: Any) -> None:
         """Publish a recorder's status."""
-        publisher = self._node.create_publisher(RecorderStatus, "recorder_status", LATCHED)
-        publisher.publish(RecorderStatus(**status))
+        self._recorder.publish(RecorderStatus(**status))
 
     def start(
         self,

@@ -29,8 +29,10 @@ def wheels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, zipfile.ZipFil
     built = {}
     for package in EXECUTABLES:
         subprocess.run(
-            [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-index", "--no-deps"]
-            + ["--no-build-isolation", "--wheel-dir", str(folder), f"./src/{package}"],
+            [
+                *(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-index", "--no-deps"),
+                *("--no-build-isolation", "--wheel-dir", str(folder), f"./src/{package}"),
+            ],
             cwd=folder,
             env=clean_environment(PIP_DISABLE_PIP_VERSION_CHECK="1"),
             check=True,
