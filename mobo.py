@@ -351,15 +351,13 @@ def make_parser() -> argparse.ArgumentParser:
         "--evaluations",
         metavar="N",
         type=_whole(1, MAX_EVALUATIONS),
-        default=60,
-        help="budget of the run (default: 60)",
+        help="budget of the run (default: as configured, 60 for the shipped awa.yaml)",
     )
     option(
         "--seed",
         metavar="S",
         type=_whole(0, MAX_SEED),
-        default=0,
-        help="of every random choice, the simulated noise included (default: 0)",
+        help="of every random choice, the simulated noise included (default: as configured)",
     )
     option("--run-id", metavar="ID", type=_run_id, help="name of the run (default: the time)")
     option("--no-dashboard", action="store_true", help="accepted; there is no page yet")
@@ -400,6 +398,8 @@ def main(arguments: list[str]) -> int:
         return complain(error, error.exit_status)
     except Interrupted as interruption:
         return complain(interruption, interruption.exit_status)
+    except BrokenPipeError:  # who read the output has seen enough
+        return 1
     except (SetupError, DomainError, RunFolderError, OSError) as error:
         return complain(error, 1)
     except KeyboardInterrupt:

@@ -11,8 +11,7 @@ import sys
 from pathlib import Path
 
 from awa_sim_node.parameters import AWA_SIM
-from mobo_tuner.nodes.console import CONSOLE
-from mobo_tuner.ros.parameters import RECORDER, TUNER, ParameterSpec
+from mobo_tuner.ros.parameters import CONSOLE, RECORDER, TUNER, ParameterSpec
 
 ROOT = Path(__file__).resolve().parent.parent
 INTERFACES = ROOT / "src" / "mobo_msgs_py"

@@ -159,7 +159,7 @@ class RunFolder:
         lines += [
             f"  {name.replace('_', ' '):<12} {_text(value)}"
             for name, value in shown.items()
-            if value is not None
+            if value not in (None, "")
         ]
         lines.append(f"  {'folder':<12} {self.path}")
         if not summary:

@@ -129,7 +129,8 @@ def test_more_points_than_fit_narrow_indices(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def random_decomposition(rng: np.random.Generator, n_objectives: int) -> BoxDecomposition:
-    return BoxDecomposition(np.full(n_objectives, 1.1), rng.random((25, n_objectives)))
+    n = 25 if n_objectives < 7 else 10
+    return BoxDecomposition(np.full(n_objectives, 1.1), rng.random((n, n_objectives)))
 
 
 @pytest.mark.parametrize("n_objectives", range(1, 9))

@@ -373,6 +373,17 @@ def test_show_of_a_broken_run_is_one_sentence(tmp_path: Path, facts: Any, summar
     assert str(tmp_path / "a") in done.stderr
 
 
+def test_a_reader_that_leaves_early_gets_no_traceback(tmp_path: Path) -> None:
+    for number in range(3000):
+        make_run(tmp_path, f"run-{number}", {"state": "finished"})
+    script = f"'{sys.executable}' '{ROOT / 'mobo.py'}' list --runs-dir '{tmp_path}' | head -n 1"
+    done = subprocess.run(
+        ["sh", "-c", script], capture_output=True, text=True, timeout=TIMEOUT, check=True
+    )
+    assert done.stdout.startswith("run ")
+    assert done.stderr == ""
+
+
 def test_show_of_an_unknown_run_is_one_sentence(tmp_path: Path) -> None:
     done = mobo("show", "nobody", "--runs-dir", str(tmp_path))
     assert done.returncode == 1

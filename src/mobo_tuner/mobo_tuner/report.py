@@ -66,7 +66,10 @@ def summarize(run: RecordedRun) -> dict[str, Any]:
         "units": {v.name: v.unit for v in run.problem.variables}
         | {o.name: o.unit for o in objectives},
         "seconds": {
-            "suggest_median": _median(run.suggest_seconds),
+            # A point of the initial design costs nothing; only the model's suggestions tell something.
+            "suggest_median": _median(
+                run.suggest_seconds if run.initial.all() else run.suggest_seconds[~run.initial]
+            ),
             "evaluate_median": _median(run.machine_seconds),
             "overhead_median": _median(run.overhead_seconds),
         },

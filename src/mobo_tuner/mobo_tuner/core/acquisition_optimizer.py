@@ -173,14 +173,14 @@ class MultiStart:
     """
 
     screened: int = 512
-    screened_nearby: int = 128
+    screened_nearby: int = 512
     nearby: float = 0.15
     far_starts: int = 16
-    near_starts: int = 8
+    near_starts: int = 32
     far_apart: float = 0.5
     near_apart: float = 0.1
-    steps: int = 8
-    finished: int = 4
+    steps: int = 10
+    finished: int = 3
     iterations: int = 30
 
     def maximize(

@@ -37,11 +37,13 @@ def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Res
     """Compile to machine code that runs without the interpreter lock and is cached on disk.
 
     The cache notices a change in the function's own file only: a compiled function must not call
-    one in another module.
+    one in another module. Where no directory for the cache can be written, there is none.
     """
-    jitted: Callable[Parameters, Result] = numba.njit(cache=True, nogil=True, error_model="numpy")(
-        function
-    )
+    jitted: Callable[Parameters, Result]
+    try:
+        jitted = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    except RuntimeError:
+        jitted = numba.njit(nogil=True, error_model="numpy")(function)
     return jitted
 
 

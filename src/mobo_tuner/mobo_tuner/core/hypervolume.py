@@ -56,7 +56,9 @@ class BoxDecomposition:
     points when a model is trained, add single points in between.
 
     The number of boxes grows as n^floor(P/2) at worst. With P = 7 and n = 500 there are 3e4 to 8e5
-    of them, some 40 bytes each; adding a point takes about a millisecond.
+    of them and 4 to 90 MB; adding a point takes about a millisecond, 4 at the worst.
+
+    Any number of threads may evaluate at once, but not while one of them adds a point.
 
     Attributes:
         reference: `(P,)`, the reference point, or B of a truncation box.

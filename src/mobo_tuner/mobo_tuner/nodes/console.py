@@ -15,26 +15,11 @@ from rclpy.task import Future
 from mobo_msgs_py.action import Tune
 from mobo_msgs_py.msg import Evaluation, ParetoFront, Problem, RecorderStatus, TunerStatus
 from mobo_tuner.nodes.console_view import RunProgress, make_view
-from mobo_tuner.ros.parameters import ParameterSpec, declare
+from mobo_tuner.ros.parameters import CONSOLE, declare
 from mobo_tuner.ros.process import exit_process, run_node
 from mobo_tuner.ros.qos import LATCHED, STREAM
 from mobo_tuner.ros.waiting import first_of, until
 from mobo_tuner.run_id import check_run_id, new_run_id
-
-CONSOLE = (
-    ParameterSpec("run_id", "", "names the run; empty = the time gives the name"),
-    ParameterSpec(
-        "evaluations", 0, "budget of the run; 0 = as the tuner is set", minimum=0, maximum=100_000
-    ),
-    ParameterSpec("wait_for_recorder", True, "begin only when a recorder records the run"),
-    ParameterSpec(
-        "ready_timeout",
-        30.0,
-        "how long to wait for the tuner and the recorder [s]",
-        minimum=0.1,
-        maximum=3600.0,
-    ),
-)
 
 RECORDED_TOPICS = ("problem", "evaluation", "status", "pareto_front")
 REFRESH_PERIOD = 0.2  # [s]

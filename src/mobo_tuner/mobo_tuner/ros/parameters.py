@@ -151,6 +151,21 @@ RECORDER = (
     ),
 )
 
+CONSOLE = (
+    ParameterSpec("run_id", "", "names the run; empty = the time gives the name"),
+    ParameterSpec(
+        "evaluations", 0, "budget of the run; 0 = as the tuner is set", minimum=0, maximum=100_000
+    ),
+    ParameterSpec("wait_for_recorder", True, "begin only when a recorder records the run"),
+    ParameterSpec(
+        "ready_timeout",
+        30.0,
+        "how long to wait for the tuner and the recorder [s]",
+        minimum=0.1,
+        maximum=3600.0,
+    ),
+)
+
 _PROBLEM_DESCRIPTIONS = {
     ("variables", "min"): "lower bound of the search",
     ("variables", "max"): "upper bound of the search",
