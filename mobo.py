@@ -176,7 +176,7 @@ def tune(
     print("  export " + " ".join(f"{k}={v}" for k, v in domain.environment.items()), flush=True)
     conductor = tuning.Conductor(processes, launch)
     ending = conductor.run()
-    if folder.has_journal:
+    if folder.has_journal or ending.state == "finished":
         failure = conductor.report([str(python), "-P", "-m", "mobo_tuner.report", str(folder.path)])
         if failure and ending.state == "finished":
             return tuning.Ending("failed", failure, 1)

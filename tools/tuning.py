@@ -28,29 +28,35 @@ class Program:
     Attributes:
         name: of the program and its log file.
         module: Python module that is run.
+        node: name of its ROS node.
         parameters: ROS parameters it is given over those of the configuration.
     """
 
     name: str
     module: str
+    node: str
     parameters: tuple[str, ...] = ()
 
     def command(self, python: Path, config: Path, values: Mapping[str, object]) -> list[str]:
-        """The command line; parameters without a value are left to the configuration."""
+        """The command line; parameters without a value are left to the configuration.
+
+        They are given to the node by name: without, they would yield to the file's section of that
+        name.
+        """
         given = [
             argument
             for name in self.parameters
             if (value := values.get(name)) is not None
-            for argument in ("-p", f"{name}:={_as_yaml(value)}")
+            for argument in ("-p", f"{self.node}:{name}:={_as_yaml(value)}")
         ]
         ros = ["--ros-args", "--params-file", str(config), *given]
         return [str(python), "-P", "-m", self.module, *ros]
 
 
-MACHINE = Program("machine", "awa_sim_node.node", ("seed", "speed"))
-TUNER = Program("tuner", "mobo_tuner.nodes.tuner", ("seed", "runs_dir"))
-RECORDER = Program("recorder", "mobo_tuner.nodes.recorder", ("bag_path",))
-CONSOLE = Program("console", "mobo_tuner.nodes.console", ("run_id", "evaluations"))
+MACHINE = Program("machine", "awa_sim_node.node", "awa_sim", ("seed", "speed"))
+TUNER = Program("tuner", "mobo_tuner.nodes.tuner", "tuner", ("seed", "runs_dir"))
+RECORDER = Program("recorder", "mobo_tuner.nodes.recorder", "recorder", ("bag_path",))
+CONSOLE = Program("console", "mobo_tuner.nodes.console", "console", ("run_id", "evaluations"))
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,9 @@ def test_log_normal_shares_median_and_lower_quantile():
 def test_expected_improvement_under_a_logarithm(s, q):
     target = np.exp(q * s)
     exact = target * norm.cdf(q) - np.exp(0.5 * s * s) * norm.cdf(q - s)
-    mean, stddev = (part[0] for part in OutputScaling(True, 0.0, 1.0).to_output(*np.array([[0.0], [s]])))
+    mean, stddev = (
+        part[0] for part in OutputScaling(True, 0.0, 1.0).to_output(*np.array([[0.0], [s]]))
+    )
     z = (target - mean) / stddev
     assert stddev * (z * norm.cdf(z) + norm.pdf(z)) == pytest.approx(exact, rel=0.3)
 

@@ -29,7 +29,7 @@ FAILED = EvaluateSetpoint.Result.INVALID_MEASUREMENT
 def start_tuner(start_node: NodeStarter, tmp_path: Path) -> Callable[..., NodeProcess]:
     def start(*parameters: str, config: str = "toy.yaml") -> NodeProcess:
         settings = (f"runs_dir:={tmp_path / 'runs'}", *parameters)
-        options = [word for text in settings for word in ("-p", text)]
+        options = [word for text in settings for word in ("-p", f"tuner:{text}")]
         file = ["--params-file", str(CONFIG / config)]
         return start_node("-m", "mobo_tuner.nodes.tuner", "--ros-args", *file, *options)
 
@@ -39,7 +39,7 @@ def start_tuner(start_node: NodeStarter, tmp_path: Path) -> Callable[..., NodePr
 @pytest.fixture
 def start_machine(start_node: NodeStarter) -> Callable[..., NodeProcess]:
     def start(*parameters: str, config: str = "toy.yaml") -> NodeProcess:
-        options = [word for text in parameters for word in ("-p", text)]
+        options = [word for text in parameters for word in ("-p", f"awa_sim:{text}")]
         file = ["--params-file", str(CONFIG / config)]
         return start_node("-m", "awa_sim_node.node", "--ros-args", *file, *options)
 
@@ -106,7 +106,7 @@ def test_a_goal_tunes_the_machine_and_everyone_hears_of_it(
         assert message.total_seconds >= message.machine_seconds + message.suggest_seconds
 
     front = result.pareto_front
-    assert fronts.messages[-1].points == front.points
+    assert [p.index for p in fronts.messages[-1].points] == [p.index for p in front.points]
     assert front.hypervolume == hypervolumes[-1]
     indices = {p.index for p in front.points}
     assert all(told[i].index == i for i in indices)

@@ -79,13 +79,41 @@ def test_help_names_every_verb() -> None:
         assert f"\n    {verb} " in done.stdout
 
 
-def test_parameters_reach_a_node_as_the_types_they_are() -> None:
-    program = Program("tuner", "package.tuner", ("run_id", "seed", "speed", "runs_dir"))
-    values = {"run_id": "1e5", "seed": 3, "speed": None, "runs_dir": Path("/it's here")}
-    command = program.command(Path("python"), Path("config.yaml"), values)
+def test_parameters_reach_a_node_as_the_types_they_are(tmp_path: Path) -> None:
+    program = Program("program", "-", "tuner", ("run_id", "seed", "speed", "runs_dir"))
+    values = {"run_id": "1e5", "seed": 3, "speed": 2.0, "runs_dir": Path("/it's here")}
+    config = tmp_path / "config.yaml"
+    sections = ("/**", "tuner")
+    config.write_text(
+        "".join(f"{s}: {{ros__parameters: {{seed: 1, kept: 2}}}}\n" for s in sections)
+    )
+    node = """
+import json, sys, rclpy
+rclpy.init(args=sys.argv)
+node = rclpy.create_node("tuner", automatically_declare_parameters_from_overrides=True)
+names = ("run_id", "seed", "speed", "runs_dir", "kept")
+print(json.dumps({name: node.get_parameter(name).value for name in names}))
+rclpy.shutdown()
+"""
+    arguments = program.command(Path(sys.executable), config, values)[4:]
+    done = subprocess.run(
+        [sys.executable, "-c", node, *arguments],
+        env={**os.environ, "ROS_LOG_DIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT,
+        check=True,
+    )
+    expected = {"run_id": "1e5", "seed": 3, "speed": 2.0, "runs_dir": "/it's here", "kept": 2}
+    assert json.loads(done.stdout) == expected
+
+
+def test_a_parameter_without_a_value_is_left_to_the_configuration() -> None:
+    program = Program("program", "package.tuner", "tuner", ("seed", "speed"))
+    command = program.command(Path("python"), Path("config.yaml"), {"seed": 3, "speed": None})
     assert command == [
         *("python", "-P", "-m", "package.tuner", "--ros-args", "--params-file", "config.yaml"),
-        *("-p", "run_id:='1e5'", "-p", "seed:=3", "-p", "runs_dir:='/it''s here'"),
+        *("-p", "tuner:seed:=3"),
     ]
 
 

@@ -161,6 +161,8 @@ class MultiStart:
 
     Attributes:
         screened: quasi-random points over the whole box, rounded up to a power of two.
+        overshoot: factor by which these reach beyond the box before they are moved to its edge; at
+            1.5 a third of the values are at a bound, where maxima often lie.
         screened_nearby: random points around `starts`.
         nearby: standard deviation of these, in a range of 2.
         far_starts: starts kept of the quasi-random points, `far_apart` from each other.
@@ -173,6 +175,7 @@ class MultiStart:
     """
 
     screened: int = 512
+    overshoot: float = 1.5
     screened_nearby: int = 512
     nearby: float = 0.15
     far_starts: int = 16
@@ -208,7 +211,7 @@ class MultiStart:
             around = np.clip(around, -1.0, 1.0)
             x = _spread_out(around, search.values(around), self.near_starts, self.near_apart)[0]
         spread = qmc.Sobol(d, rng=rng).random_base2(math.ceil(math.log2(self.screened)))
-        spread = 2.0 * spread - 1.0
+        spread = np.clip(self.overshoot * (2.0 * spread - 1.0), -1.0, 1.0)
         far = _spread_out(spread, search.values(spread), self.far_starts, self.far_apart)[0]
         x = np.vstack([far, x])
         if len(x) == 0:

@@ -13,9 +13,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lapack
-from scipy.special import log_ndtr, ndtri
+from scipy.special import expit, log_ndtr, ndtri
 
 from mobo_tuner.core.kernels import Kernel, Matern52, as_inputs, squared_distances
 from mobo_tuner.core.linear_algebra import (
@@ -27,57 +27,69 @@ from mobo_tuner.core.linear_algebra import (
 from mobo_tuner.core.posterior import RELATIVE_JITTER, TriangularPosterior
 from mobo_tuner.core.training import train_lbfgs
 
-_LENGTH_SCALE_PRIOR_STDDEV = 0.7
-_VARIANCE_PRIOR = (float(np.log(10.0)), 1.0)
-_VARIANCE_BOUNDS = (float(np.log(0.1)), float(np.log(1e3)))
+_LENGTH_SCALE_PRIOR = (float(np.log(2.0)), 1.0)
+_VARIANCE_PRIOR = (float(np.log(50.0)), 1.2)
+_VARIANCE_BOUNDS = (float(np.log(0.1)), float(np.log(1e4)))
 _NEWTON_STEPS = 50
 _NEWTON_TOLERANCE = 1e-9
 _TRAINING_STEPS = 30
+_TRAINING_GROWTH = 1.1
+_WEIGHT_THRESHOLD = 0.8
+_WEIGHT_STEEPNESS = 10.0
 
 
 class ValidityModel:
     """Probability of a valid evaluation over inputs normalised to [-1, 1].
 
-    Where nothing has failed yet, it is one everywhere. Otherwise it returns, far from all observations, to a value
-    between a half and the share of valid ones.
+    Where nothing has failed yet, it is one everywhere. Otherwise it returns, far from all
+    observations, to a value between a half and the share of valid ones.
+
+    To steer an optimiser, multiply its acquisition function by the weight, not by the probability:
+    the edge of what works is where improvements look largest, as nothing is known beyond, and
+    there a probability of a few percent is outbid again and again.
     """
 
     def __init__(self) -> None:
         self._parameters: FloatArray | None = None
+        self._trained = 0  # number of evaluations at the last training
         self._posterior: _LaplacePosterior | None = None
         self._d: int | None = None
 
     def fit(self, x: ArrayLike, valid: ArrayLike) -> ValidityModel:
-        """Learn from all evaluations so far, the hyperparameters starting from the last ones.
+        """Learn from all evaluations so far.
 
-        O(n^3) for each step of the training, of which there are some tens.
+        Hyperparameters are trained, from the last ones, when there are a tenth more evaluations
+        than at the last training: some tens of steps of O(n^3). Otherwise a few such steps.
 
         Args:
             x: normalised inputs `(n, d)`, n >= 1.
-            valid: which evaluations were valid `(n,)`.
+            valid: which evaluations were valid, booleans `(n,)`.
 
         Returns:
             The model itself.
 
         Raises:
-            ValueError: an argument has the wrong shape, or the inputs a value that is not finite.
+            ValueError: an argument has the wrong shape or type, or the inputs a value that is not
+                finite.
         """
-        inputs = as_inputs(x, self._d).copy()
-        outcomes = np.asarray(valid)
-        if outcomes.shape != (len(inputs),) or outcomes.dtype != np.bool_ or len(inputs) == 0:
-            raise ValueError(f"valid must be {len(inputs)} booleans, at least one, got shape {outcomes.shape}")
+        inputs, outcomes = _checked_outcomes(x, valid, self._d)
         self._d = inputs.shape[1]
+        self._posterior = None
         if outcomes.all():
-            self._posterior = None
             return self
         kernel = Matern52(self._d)
-        likelihood = _LaplaceLikelihood(kernel, inputs, outcomes)
-        start = likelihood.prior_mean if self._parameters is None else self._parameters
         with single_blas_thread():
-            free = np.ones(len(start), dtype=np.bool_)
-            self._parameters, _ = train_lbfgs(
-                likelihood, start[None], likelihood.bounds(), free, _TRAINING_STEPS
-            )
+            if self._parameters is None or len(outcomes) >= _TRAINING_GROWTH * self._trained:
+                likelihood = _LaplaceLikelihood(kernel, inputs, outcomes)
+                start = likelihood.prior_mean if self._parameters is None else self._parameters
+                self._parameters, _ = train_lbfgs(
+                    likelihood,
+                    start[None],
+                    likelihood.bounds(),
+                    np.ones(len(start), dtype=np.bool_),
+                    _TRAINING_STEPS,
+                )
+                self._trained = len(outcomes)
             self._posterior = _LaplacePosterior(kernel, self._parameters, inputs, outcomes)
         return self
 
@@ -104,32 +116,78 @@ class ValidityModel:
         ) / spread[:, None]
         return np.asarray(log_ndtr(ratio)), _hazard(ratio)[:, None] * ratio_gradient
 
+    def log_weight(self, x: ArrayLike) -> FloatArray:
+        """Logarithm `(m,)` of what the acquisition function is multiplied by at x `(m, d)`.
+
+        `p / (1 + (c / p)^10)` for a probability p: p itself where it is above c, and vanishing
+        quickly below. c is 0.8 of the highest probability at an evaluated point, so that failures
+        all over the place, which have no cause in x, do not narrow the search.
+        """
+        return self._log_weight(self.predict_log_probability(x))
+
+    def log_weight_with_gradient(self, x: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """As `log_weight`, with its gradient in x `(m, d)`."""
+        log_probability, gradient = self.predict_log_probability_with_gradient(x)
+        if self._posterior is None:
+            return log_probability, gradient
+        short = expit(_WEIGHT_STEEPNESS * (self._posterior.log_threshold - log_probability))
+        slope = 1.0 + _WEIGHT_STEEPNESS * short
+        return self._log_weight(log_probability), slope[:, None] * gradient
+
+    def _log_weight(self, log_probability: FloatArray) -> FloatArray:
+        if self._posterior is None:
+            return log_probability
+        lack = _WEIGHT_STEEPNESS * (self._posterior.log_threshold - log_probability)
+        return np.asarray(log_probability - np.logaddexp(0.0, lack))
+
     def get_state(self) -> dict[str, Any]:
-        """Hyperparameters as plain data for JSON."""
-        return {"parameters": None if self._parameters is None else self._parameters.tolist()}
+        """Hyperparameters as plain data for JSON, without the evaluations."""
+        parameters = None if self._parameters is None else self._parameters.tolist()
+        return {"d": self._d, "parameters": parameters, "trained": self._trained}
+
+    @classmethod
+    def from_state(
+        cls, state: dict[str, Any], x: ArrayLike = (), valid: ArrayLike = ()
+    ) -> ValidityModel:
+        """The model that `get_state` came from, bitwise, given the evaluations of its last `fit`.
+
+        Raises:
+            ValueError: the evaluations do not suit the state.
+        """
+        model = cls()
+        if state["d"] is None:
+            return model
+        inputs, outcomes = _checked_outcomes(x, valid, state["d"])
+        model._d, model._trained = state["d"], state["trained"]
+        if state["parameters"] is not None:
+            model._parameters = np.array(state["parameters"])
+        if outcomes.all():
+            return model
+        if model._parameters is None:
+            raise ValueError("valid must be all true, as in the state's evaluations")
+        with single_blas_thread():
+            model._posterior = _LaplacePosterior(
+                Matern52(state["d"]), model._parameters, inputs, outcomes
+            )
+        return model
 
     def _checked(self, x: ArrayLike) -> FloatArray:
         if self._d is None:
             raise ValueError("the validity model has no evaluations yet: call fit first")
         return as_inputs(x, self._d)
 
-    @classmethod
-    def from_state(cls, state: dict[str, Any], x: ArrayLike = (), valid: ArrayLike = ()) -> ValidityModel:
-        """The model that `get_state` came from, bitwise, given the evaluations of its last `fit`."""
-        model = cls()
-        parameters = state["parameters"]
-        model._parameters = None if parameters is None else np.array(parameters)
-        outcomes = np.asarray(valid, dtype=np.bool_)
-        if len(outcomes) == 0:
-            return model
-        inputs = as_inputs(x).copy()
-        model._d = inputs.shape[1]
-        if not outcomes.all():
-            if model._parameters is None:
-                raise ValueError("the state is of evaluations that were all valid")
-            with single_blas_thread():
-                model._posterior = _LaplacePosterior(Matern52(model._d), model._parameters, inputs, outcomes)
-        return model
+
+def _checked_outcomes(
+    x: ArrayLike, valid: ArrayLike, d: int | None
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    inputs = as_inputs(x, d).copy()
+    outcomes = np.array(valid)
+    if outcomes.shape != (len(inputs),) or outcomes.dtype != np.bool_ or len(inputs) == 0:
+        raise ValueError(
+            f"valid must be a boolean for each of {len(inputs)} rows of x, at least one, "
+            f"got {outcomes.dtype} {outcomes.shape}"
+        )
+    return inputs, outcomes
 
 
 def _hazard(z: FloatArray) -> FloatArray:
@@ -138,7 +196,9 @@ def _hazard(z: FloatArray) -> FloatArray:
 
 
 class _Mode:
-    """The latent function at the observations where its posterior is highest, `[Rasmussen2006]_` Algorithm 3.1.
+    """Where the posterior of the latent function f at the observations is highest.
+
+    By Newton's method, `[Rasmussen2006]_` Algorithm 3.1.
 
     Attributes:
         signs: +1 where valid, else -1, `(n,)`.
@@ -150,7 +210,9 @@ class _Mode:
         fit: log posterior density up to a constant.
     """
 
-    def __init__(self, covariance: FloatArray, valid: FloatArray, start: FloatArray | None = None) -> None:
+    def __init__(
+        self, covariance: FloatArray, valid: NDArray[np.bool_], start: FloatArray | None = None
+    ) -> None:
         n = len(valid)
         self.signs = np.where(valid, 1.0, -1.0)
         # The share of valid ones with one of either kind added, of which there may be none.
@@ -183,21 +245,31 @@ class _Mode:
 
 
 class _LaplaceLikelihood:
-    """Minus the log evidence, and log priors, of the hyperparameters `(d + 1,)`, log length-scales and `log s^2`."""
+    """Minus the log evidence and priors of the hyperparameters `(d + 1,)`, log l and `log s^2`.
 
-    def __init__(self, kernel: Kernel, x: FloatArray, valid: FloatArray) -> None:
+    A log-normal prior of the length-scales around twice the square root of d, so that few
+    observations tell of half-spaces rather than of islands, and one of the variance around 50: most
+    failures are certain where they happen.
+    """
+
+    def __init__(self, kernel: Kernel, x: FloatArray, valid: NDArray[np.bool_]) -> None:
         self.kernel, self.x, self.valid = kernel, x, valid
         self._start: FloatArray | None = None  # the last mode is near the next one
         d = kernel.d
-        self.prior_mean = np.append(np.full(d, 0.5 * np.log(d)), _VARIANCE_PRIOR[0])
-        self._prior_stddev = np.append(np.full(d, _LENGTH_SCALE_PRIOR_STDDEV), _VARIANCE_PRIOR[1])
+        self.prior_mean = np.append(
+            np.full(d, _LENGTH_SCALE_PRIOR[0] + 0.5 * np.log(d)), _VARIANCE_PRIOR[0]
+        )
+        self._prior_stddev = np.append(np.full(d, _LENGTH_SCALE_PRIOR[1]), _VARIANCE_PRIOR[1])
 
     def bounds(self) -> FloatArray:
         """Lowest and highest allowed hyperparameters, `(d + 1, 2)`."""
         return np.vstack([self.kernel.bounds(), _VARIANCE_BOUNDS])
 
     def __call__(self, parameters: FloatArray) -> tuple[float, FloatArray]:
-        """Value and gradient by `[Rasmussen2006]_` Algorithm 5.1; O(n^3)."""
+        """Value and gradient; O(n^3).
+
+        `[Rasmussen2006]_` Algorithm 5.1, with a plus in its s_2, as finite differences have it.
+        """
         shape, variance = parameters[:-1], np.exp(parameters[-1])
         covariance, slope = _covariance(self.kernel, shape, variance, self.x)
         mode = _Mode(covariance, self.valid, self._start)
@@ -226,9 +298,14 @@ class _LaplaceLikelihood:
 
 
 class _LaplacePosterior(TriangularPosterior):
-    """The latent process given the outcomes, less its prior mean `offset`, `[Rasmussen2006]_` Eq. (3.21), (3.24)."""
+    """The latent process given the outcomes, less its prior mean `offset`.
 
-    def __init__(self, kernel: Kernel, parameters: FloatArray, x: FloatArray, valid: FloatArray) -> None:
+    `[Rasmussen2006]_` Eq. (3.21) and (3.24). Of use to the weight: `log_threshold`.
+    """
+
+    def __init__(
+        self, kernel: Kernel, parameters: FloatArray, x: FloatArray, valid: NDArray[np.bool_]
+    ) -> None:
         self.kernel = kernel
         self.variance = float(np.exp(parameters[-1]))
         self.factor = kernel.factor(parameters[:-1])
@@ -238,6 +315,9 @@ class _LaplacePosterior(TriangularPosterior):
         self.offset = mode.offset
         self.weights = mode.weights
         self.inverse = np.asfortranarray(inverse_triangle(mode.lower) * mode.root)
+        mean, stddev = self.predict(x)
+        highest = float(log_ndtr((self.offset + mean) / np.hypot(1.0, stddev)).max())
+        self.log_threshold = float(np.log(_WEIGHT_THRESHOLD)) + highest
 
 
 def _covariance(
