@@ -31,7 +31,7 @@ _LENGTH_SCALE_PRIOR = (float(np.log(2.0)), 1.0)
 _VARIANCE_PRIOR = (float(np.log(50.0)), 1.2)
 _VARIANCE_BOUNDS = (float(np.log(0.1)), float(np.log(1e4)))
 _NEWTON_STEPS = 50
-_NEWTON_TOLERANCE = 1e-9
+_NEWTON_TOLERANCE = 1e-12
 _TRAINING_STEPS = 30
 _TRAINING_GROWTH = 1.1
 _WEIGHT_THRESHOLD = 0.8
@@ -214,6 +214,7 @@ class _Mode:
         self, covariance: FloatArray, valid: NDArray[np.bool_], start: FloatArray | None = None
     ) -> None:
         n = len(valid)
+        tolerance = _NEWTON_TOLERANCE * n
         self.signs = np.where(valid, 1.0, -1.0)
         # The share of valid ones with one of either kind added, of which there may be none.
         self.offset = float(ndtri((np.count_nonzero(valid) + 1.0) / (n + 2.0)))
@@ -225,11 +226,11 @@ class _Mode:
             direction = target - self.root * inner - solution
             before, step = self.fit, 1.0
             self._evaluate(covariance, solution + direction)
-            while self.fit < before and step > 1e-3:
+            while self.fit < before - tolerance and step > 1e-3:
                 step *= 0.5
                 self._evaluate(covariance, solution + step * direction)
             solution = solution + step * direction
-            if self.fit - before < _NEWTON_TOLERANCE * n:
+            if self.fit < before + tolerance:
                 return
 
     def _evaluate(self, covariance: FloatArray, solution: FloatArray) -> None:
