@@ -12,13 +12,14 @@ import math
 import time
 
 import rclpy
-from mobo_msgs_py.action import EvaluateSetpoint
-from mobo_msgs_py.msg import NamedValue, Observable, Variable
-from mobo_msgs_py.srv import DescribeMachine
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+
+from mobo_msgs_py.action import EvaluateSetpoint
+from mobo_msgs_py.msg import NamedValue, Observable, Variable
+from mobo_msgs_py.srv import DescribeMachine
 
 LIMITS = {"x1": (-2.0, 2.0), "x2": (-2.0, 2.0)}
 DIAGNOSTICS = ("f1", "f2")

@@ -8,9 +8,10 @@ It needs nothing of this project but the interface package. The tuner and a mach
 import sys
 
 import rclpy
-from mobo_msgs_py.action import Tune
 from rclpy.action import ActionClient
 from rclpy.node import Node
+
+from mobo_msgs_py.action import Tune
 
 
 def main() -> None:

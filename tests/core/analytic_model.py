@@ -30,7 +30,9 @@ class AnalyticModel:
         self.calls += 1
         step = x - self.center
         mean = (step**2).mean(axis=1) + 0.2 * np.sin(x @ self.wave)
-        mean_gradient = 2.0 * step / len(self.center) + 0.2 * np.cos(x @ self.wave)[:, None] * self.wave
+        mean_gradient = (
+            2.0 * step / len(self.center) + 0.2 * np.cos(x @ self.wave)[:, None] * self.wave
+        )
         stddev = self.stddev * np.exp(x @ self.slope)
         stddev_gradient = stddev[:, None] * self.slope
         s = self.scale

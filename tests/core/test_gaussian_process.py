@@ -100,10 +100,11 @@ def test_toy_problem_with_the_hyperparameters_of_the_paper():
 
 
 @pytest.mark.parametrize("name", KERNELS)
-@pytest.mark.parametrize("m", [1, 7])
+@pytest.mark.parametrize("m", [1, 7, 200])
 def test_gradients_of_predictions(name, m):
-    x, y, new = _data(noise=0.1)
-    _assert_gradients(GaussianProcess(GaussianProcessSettings(kernel=name)).fit(x, y), new[:m])
+    x, y, _ = _data(noise=0.1)
+    new = np.random.default_rng(1).uniform(-1, 1, (m, 3))
+    _assert_gradients(GaussianProcess(GaussianProcessSettings(kernel=name)).fit(x, y), new)
 
 
 def test_gradients_of_predictions_of_a_logarithm():
@@ -229,10 +230,10 @@ def test_mean_far_away_is_the_prior_mean():
 
 
 def test_automatic_mean_takes_what_predicts_better():
-    rng = np.random.default_rng(0)
-    x = rng.uniform(-1, 1, (40, 2))
-    # A narrow dip in a plain at the reference point.
-    y = 10.0 - 8.0 * np.exp(-20.0 * ((x - 0.3) ** 2).sum(axis=1))
+    rng = np.random.default_rng(2)
+    x = rng.uniform(-1, 1, (25, 2))
+    # A dip in a plain at the reference point.
+    y = 10.0 - 8.0 * np.exp(-8.0 * ((x - 0.3) ** 2).sum(axis=1))
     choice = GaussianProcessSettings(mean="auto")
     model = GaussianProcess(choice, reference=10.0).fit(x, y)
     assert model.model == "reference"

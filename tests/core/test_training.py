@@ -27,8 +27,9 @@ def _data(n=12, d=3, seed=0):
 
 @pytest.mark.parametrize("weak_prior", [True, False])
 @pytest.mark.parametrize("name", NAMES)
-def test_gradient_by_finite_differences(name, weak_prior):
-    x, z, rng = _data()
+@pytest.mark.parametrize("n", [12, 150])
+def test_gradient_by_finite_differences(name, weak_prior, n):
+    x, z, rng = _data(n)
     kernel = make_kernel(name, 3)
     extra = rng.uniform(0.0, 0.1, len(z))
     objective = NegativeLogPosterior(kernel, x, z, extra, weak_prior)
@@ -65,7 +66,7 @@ def test_lbfgs_is_at_least_as_good_as_scikit_learn():
     start = objective.default_parameters()
     rng = np.random.default_rng(0)
     starts = start + np.vstack([np.zeros(len(start)), 0.7 * rng.normal(size=(3, len(start)))])
-    _, value = train_lbfgs(objective, starts, bounds, free)
+    _, value = train_lbfgs(objective, starts, bounds, free, 1e-8)
     kernel = ConstantKernel(1.0) * RBF(np.full(3, 2.0), (0.05, 100.0)) + WhiteKernel(1e-4)
     oracle = GaussianProcessRegressor(kernel, alpha=0.0, n_restarts_optimizer=2, random_state=0)
     with warnings.catch_warnings():
@@ -81,7 +82,7 @@ def test_held_hyperparameters_do_not_move():
     free = np.array([True, False, True, True, False])
     bounds = objective.bounds(1e-9)
     for best in (
-        train_lbfgs(objective, start[None], bounds, free)[0],
+        train_lbfgs(objective, start[None], bounds, free, 1e-8)[0],
         train_adam(objective, start, bounds, free, 0.01, 50)[0],
     ):
         np.testing.assert_array_equal(best[~free], start[~free])
@@ -93,7 +94,7 @@ def test_nothing_free_keeps_the_start():
     objective = NegativeLogPosterior(make_kernel("rbf", 3), x, z, np.zeros_like(z), True)
     start = objective.default_parameters()
     best, value = train_lbfgs(
-        objective, start[None], objective.bounds(1e-9), np.zeros(5, dtype=bool)
+        objective, start[None], objective.bounds(1e-9), np.zeros(5, dtype=bool), 1e-8
     )
     np.testing.assert_array_equal(best, start)
     assert value == objective(start)[0]
@@ -105,7 +106,7 @@ def test_adam_reaches_what_lbfgs_reaches():
     bounds, free = objective.bounds(1e-9), np.ones(5, dtype=bool)
     start = objective.default_parameters()
     _, reached = train_adam(objective, start, bounds, free, 0.01, 1500)
-    _, best = train_lbfgs(objective, start[None], bounds, free)
+    _, best = train_lbfgs(objective, start[None], bounds, free, 1e-8)
     assert len(z) * (reached - best) < 0.01
 
 

@@ -92,13 +92,10 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Run]]:
         runs_dir = tmp_path / "runs"
         process = subprocess.Popen(
             [
-                sys.executable,
-                str(ROOT / "mobo.py"),
-                "run",
-                "--config",
-                str(ROOT / "config" / config),
-            ]
-            + ["--runs-dir", str(runs_dir), "--run-id", run_id, "--no-dashboard", *arguments],
+                *(sys.executable, str(ROOT / "mobo.py"), "run"),
+                *("--config", str(ROOT / "config" / config), "--runs-dir", str(runs_dir)),
+                *("--run-id", run_id, "--no-dashboard", *arguments),
+            ],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -247,8 +244,10 @@ def test_a_bad_configuration_starts_nothing(tmp_path: Path) -> None:
     config = tmp_path / "bad.yaml"
     config.write_text(text.replace("min: 400.0", "min: 300.0"))
     done = subprocess.run(
-        [sys.executable, str(ROOT / "mobo.py"), "run", "--config", str(config)]
-        + ["--runs-dir", str(tmp_path / "runs")],
+        [
+            *(sys.executable, str(ROOT / "mobo.py"), "run"),
+            *("--config", str(config), "--runs-dir", str(tmp_path / "runs")),
+        ],
         capture_output=True,
         text=True,
         timeout=TIMEOUT,

@@ -55,7 +55,7 @@ def cholesky(matrix: FloatArray) -> tuple[FloatArray, float]:
     """Lower Cholesky factor of a symmetric positive semi-definite matrix, with jitter as needed.
 
     Args:
-        matrix: `(n, n)` symmetric and finite; not modified.
+        matrix: `(n, n)` symmetric and finite; only its upper triangle is read; not modified.
 
     Returns:
         The factor `(n, n)` of `matrix + jitter I` in Fortran order with zeros above the diagonal,

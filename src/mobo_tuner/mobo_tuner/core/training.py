@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ from mobo_tuner.core.posterior import RELATIVE_JITTER
 _NOISE_PRIOR = (float(np.log(1e-4)), 2.0)
 _VARIANCE_PRIOR_STDDEV = float(np.sqrt(2.0))
 _RESTART_SPREAD = 0.7
+_TOLERANCE = 1e-3  # of the log likelihood
+_BLOCK = 64
 
 Objective = Callable[[FloatArray], tuple[float, FloatArray]]
 
@@ -56,11 +58,9 @@ class NegativeLogPosterior:
         """Value and gradient `(k + 2,)`; O(n^3 + n^2 d)."""
         n = len(self.z)
         shape, variance, noise = parameters[:-2], np.exp(parameters[-2]), np.exp(parameters[-1])
-        scaled = self.x @ self.kernel.factor(shape)
-        profile, slope = self.kernel.profile(squared_distances(scaled, scaled))
-        covariance = variance * profile
+        covariance, slope = self._upper_triangles(shape, float(variance))
         diagonal = noise + self.extra
-        covariance.flat[:: n + 1] = variance * (1.0 + RELATIVE_JITTER) + diagonal
+        covariance.flat[:: n + 1] += diagonal
         lower, jitter = cholesky(covariance)
         diagonal = diagonal + jitter
 
@@ -71,12 +71,10 @@ class NegativeLogPosterior:
         value = 0.5 * fit + float(np.log(np.diagonal(lower)).sum()) + 0.5 * n * np.log(2.0 * np.pi)
 
         gradient = np.empty_like(parameters)
-        # Half of K^-1 - a a^T, its first part folded into one triangle.
         contraction = inverse.T
-        contraction -= 0.5 * np.multiply.outer(weights, weights)
-        contraction *= slope
-        contraction *= variance
-        contraction.flat[:: n + 1] = 0.0
+        for rows, columns in _row_blocks(n):
+            contraction[rows, columns] -= np.multiply.outer(weights[rows], weights[columns])
+            contraction[rows, columns] *= slope[rows, columns]
         gradient[:-2] = self.kernel.gradient(shape, self.x, contraction)
         # s^2 dK/ds^2 = K - diagonal spares the traces a matrix product.
         gradient[-2] = 0.5 * (
@@ -88,6 +86,22 @@ class NegativeLogPosterior:
             value += 0.5 * float(deviation @ deviation)
             gradient += deviation / self._prior_stddev
         return value / n, gradient / n
+
+    def _upper_triangles(self, shape: FloatArray, variance: float) -> tuple[FloatArray, FloatArray]:
+        """The kernel's covariance, and s^2 times its slope with a diagonal of zeros, `(n, n)` each.
+
+        In blocks that fit the processor's cache, and right of the diagonal only.
+        """
+        n = len(self.z)
+        covariance, slope = np.zeros((n, n)), np.zeros((n, n))
+        scaled = self.x @ self.kernel.factor(shape)
+        for rows, columns in _row_blocks(n):
+            profile, block = self.kernel.profile(squared_distances(scaled[rows], scaled[columns]))
+            np.multiply(profile, variance, out=covariance[rows, columns])
+            np.multiply(block, variance, out=slope[rows, columns])
+            slope[rows, rows] = np.triu(slope[rows, rows], 1)
+        covariance.flat[:: n + 1] = variance * (1.0 + RELATIVE_JITTER)
+        return covariance, slope
 
     def bounds(self, minimum_noise: float) -> FloatArray:
         """Lowest and highest allowed hyperparameters, `(k + 2, 2)`."""
@@ -102,11 +116,18 @@ class NegativeLogPosterior:
         return np.append(self.kernel.default_parameters(), [self.log_mean_square, _NOISE_PRIOR[0]])
 
 
+def _row_blocks(n: int) -> Iterator[tuple[slice, slice]]:
+    """Rows of an `(n, n)` matrix by the block, with the columns from their diagonal on."""
+    for start in range(0, n, _BLOCK):
+        yield slice(start, min(start + _BLOCK, n)), slice(start, n)
+
+
 def train_lbfgs(
     objective: Objective,
     starts: FloatArray,
     bounds: FloatArray,
     free: NDArray[np.bool_],
+    tolerance: float,
     iterations: int = 100,
 ) -> tuple[FloatArray, float]:
     """Best hyperparameters and their value by L-BFGS-B from every start.
@@ -116,6 +137,8 @@ def train_lbfgs(
         starts: `(r, k)`, r >= 1; the first is kept where nothing is better.
         bounds: `(k, 2)`.
         free: which of the k may move `(k,)`; the others stay as in the first start.
+        tolerance: a start is done when a step gains less than this in the value (relative to the
+            value where that is above 1), or no derivative exceeds ten times this.
         iterations: most iterations from each start.
     """
     best = np.array(starts[0])
@@ -137,7 +160,7 @@ def train_lbfgs(
             jac=True,
             method="L-BFGS-B",
             bounds=limits,
-            options={"maxiter": iterations, "ftol": 1e-8, "gtol": 1e-5},
+            options={"maxiter": iterations, "ftol": tolerance, "gtol": 10.0 * tolerance},
         )
         if result.fun < best_value:
             best[free] = result.x
@@ -258,4 +281,5 @@ def train(
         steps = settings.adam_steps if former is None else settings.adam_retraining_steps
         return train_adam(objective, start, bounds, free, settings.adam_rate, steps)[0]
     drawn = default + _RESTART_SPREAD * rng.standard_normal((restarts, len(start)))
-    return train_lbfgs(objective, np.vstack([start, np.where(free, drawn, held)]), bounds, free)[0]
+    starts = np.vstack([start, np.where(free, drawn, held)])
+    return train_lbfgs(objective, starts, bounds, free, _TOLERANCE / len(z))[0]

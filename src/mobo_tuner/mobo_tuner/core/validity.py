@@ -33,6 +33,7 @@ _VARIANCE_BOUNDS = (float(np.log(0.1)), float(np.log(1e4)))
 _NEWTON_STEPS = 50
 _NEWTON_TOLERANCE = 1e-12
 _TRAINING_STEPS = 30
+_TRAINING_TOLERANCE = 1e-3
 _TRAINING_GROWTH = 1.1
 _WEIGHT_THRESHOLD = 0.8
 _WEIGHT_STEEPNESS = 10.0
@@ -42,7 +43,8 @@ class ValidityModel:
     """Probability of a valid evaluation over inputs normalised to [-1, 1].
 
     Where nothing has failed yet, it is one everywhere. Otherwise it returns, far from all
-    observations, to a value between a half and the share of valid ones.
+    observations, to a value between a half and the share of valid ones. Laplace's approximation
+    is fast and cautious: where all evaluations are valid, it may still say 0.8.
 
     To steer an optimiser, multiply its acquisition function by the weight, not by the probability:
     the edge of what works is where improvements look largest, as nothing is known beyond, and
@@ -87,6 +89,7 @@ class ValidityModel:
                     start[None],
                     likelihood.bounds(),
                     np.ones(len(start), dtype=np.bool_),
+                    _TRAINING_TOLERANCE,
                     _TRAINING_STEPS,
                 )
                 self._trained = len(outcomes)

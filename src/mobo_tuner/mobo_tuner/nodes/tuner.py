@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
@@ -15,7 +16,7 @@ from rclpy.task import Future
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_tuner.core import Optimizer, ProblemError
-from mobo_tuner.core.dataset import Evaluation
+from mobo_tuner.core.optimizer import Source
 from mobo_tuner.journal import Journal
 from mobo_tuner.ros.conversions import (
     evaluation_message,
@@ -42,6 +43,14 @@ _SOURCES = {"initial": msg.Evaluation.INITIAL, "model": msg.Evaluation.MODEL}
 _RESULT = EvaluateSetpoint.Result
 # What the machine did go for and could not measure: an evaluation that failed, to be learned from.
 _FAILED_EVALUATION = (_RESULT.TIMEOUT, _RESULT.INVALID_MEASUREMENT, _RESULT.UNKNOWN)
+
+
+class Suggestion(NamedTuple):
+    """Where to measure next, where that comes from, and how long it took to find [s]."""
+
+    setpoint: dict[str, float]
+    source: Source
+    seconds: float
 
 
 class RunError(Exception):
@@ -261,9 +270,18 @@ class Tuner:
         )
         await self._meet_machine(run)
         run.step_started = time.perf_counter()
-        while not run.interrupted and run.index < run.budget:
-            await self._step(run, goal_handle)
-            if run.hypervolume_goal and run.optimizer.hypervolume >= run.hypervolume_goal:
+        suggestion = self._worker.submit(_suggest, run.optimizer)
+        while not run.interrupted:
+            message = await self._step(run, suggestion)
+            if message is None:
+                return
+            goal_met = 0.0 < run.hypervolume_goal <= message.hypervolume
+            finished = goal_met or run.index >= run.budget
+            if not finished:  # computed while the world is told of this evaluation
+                suggestion = self._worker.submit(_suggest, run.optimizer)
+            self._report(run, message, goal_handle)
+            self._judge(run, message)
+            if finished:
                 return
 
     async def _meet_machine(self, run: Run) -> None:
@@ -285,49 +303,28 @@ class Tuner:
             raise RunError(Tune.Result.MACHINE_UNAVAILABLE, str(error)) from None
         self._log.info(f"run '{run.run_id}' tunes '{machine.name}'")
 
-    async def _step(self, run: Run, goal_handle: ServerGoalHandle) -> None:
-        """One evaluation; an interrupted one leaves no trace in the data."""
+    async def _step(self, run: Run, suggestion: Future) -> msg.Evaluation | None:
+        """One evaluation; None when it was interrupted, which leaves no trace in the data."""
         self._set_status(state=msg.TunerStatus.SUGGESTING, phase="", fraction=0.0)
-        started = time.perf_counter()
-        suggestion = self._worker.submit(run.optimizer.ask)
         patience = self._parameters["suggestion_timeout"]
         done = await first_of(self.node, suggestion, run.interrupt, timeout=patience)
         if run.interrupted:
-            return
+            return None
         if done is None:
             raise RunError(Tune.Result.INTERNAL, f"no suggestion came within {patience:g} s")
-        setpoint = suggestion.result()
-        suggest_seconds = time.perf_counter() - started
-        source = run.optimizer.last_source
+        suggested: Suggestion = suggestion.result()
 
         self._set_status(state=msg.TunerStatus.EVALUATING)
-        answer = await self._evaluate(run, setpoint)
+        answer = await self._evaluate(run, suggested.setpoint)
         if answer.error_code == _RESULT.CANCELED:
             if not run.interrupted:
                 raise RunError(
                     Tune.Result.MACHINE_ERROR, f"the machine stopped: {answer.error_msg}"
                 )
-            return
-
-        evaluation, hypervolume, on_front = await self._worker.submit(
-            self._learn, run, setpoint, answer
-        )
-        message = evaluation_message(self.problem, evaluation, run.run_id, answer.stamp)
-        message.source = _SOURCES[source]
-        message.readbacks = named_values(answer.readbacks, problem_units(self.problem))
-        message.non_dominated = on_front
-        message.hypervolume = hypervolume
-        message.error_code = answer.error_code
-        message.error_msg = answer.error_msg
-        message.suggest_seconds = suggest_seconds
-        message.machine_seconds = answer.machine_seconds
-        now = time.perf_counter()
-        message.total_seconds, run.step_started = now - run.step_started, now
-        if run.journal is not None:
-            await self._worker.submit(run.journal.append, _journal_record(message, source))
+            return None
+        message: msg.Evaluation = await self._worker.submit(self._learn, run, suggested, answer)
         run.index += 1
-        self._report(run, message, goal_handle)
-        self._judge(run, message)
+        return message
 
     async def _evaluate(self, run: Run, setpoint: dict[str, float]) -> Answer:
         def on_feedback(feedback: EvaluateSetpoint.Feedback) -> None:
@@ -355,14 +352,24 @@ class Tuner:
             )
         return answer
 
-    @staticmethod
-    def _learn(
-        run: Run, setpoint: dict[str, float], answer: Answer
-    ) -> tuple[Evaluation, float, bool]:
-        """Tell the optimiser (in the worker thread); a failed evaluation is told as it is."""
-        evaluation = run.optimizer.tell(setpoint, answer.diagnostics)
-        on_front = evaluation.index in {p["index"] for p in run.optimizer.pareto_front()}
-        return evaluation, run.optimizer.hypervolume, on_front
+    def _learn(self, run: Run, suggested: Suggestion, answer: Answer) -> msg.Evaluation:
+        """Tell the optimiser and the journal (in the worker thread), a failed evaluation too."""
+        evaluation = run.optimizer.tell(suggested.setpoint, answer.diagnostics)
+        message = evaluation_message(self.problem, evaluation, run.run_id, answer.stamp)
+        message.source = _SOURCES[suggested.source]
+        message.readbacks = named_values(answer.readbacks, problem_units(self.problem))
+        front = run.optimizer.pareto_front()
+        message.non_dominated = any(point["index"] == evaluation.index for point in front)
+        message.hypervolume = run.optimizer.hypervolume
+        message.error_code = answer.error_code
+        message.error_msg = answer.error_msg
+        message.suggest_seconds = suggested.seconds
+        message.machine_seconds = answer.machine_seconds
+        now = time.perf_counter()
+        message.total_seconds, run.step_started = now - run.step_started, now
+        if run.journal is not None:
+            run.journal.append(_journal_record(message, suggested.source))
+        return message
 
     def _report(self, run: Run, message: msg.Evaluation, goal_handle: ServerGoalHandle) -> None:
         """Tell the world of an evaluation: topics, feedback, status."""
@@ -427,6 +434,12 @@ class Tuner:
     def _publish_status(self) -> None:
         self._status.stamp = self.node.get_clock().now().to_msg()
         self._publishers.status(self._status)
+
+
+def _suggest(optimizer: Optimizer) -> Suggestion:
+    started = time.perf_counter()
+    setpoint = optimizer.ask()
+    return Suggestion(setpoint, optimizer.last_source, time.perf_counter() - started)
 
 
 def _journal_record(message: msg.Evaluation, source: str) -> dict:

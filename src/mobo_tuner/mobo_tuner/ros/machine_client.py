@@ -56,9 +56,7 @@ class MachineClient:
         self._evaluate = ActionClient(node, EvaluateSetpoint, "evaluate_setpoint")
         self._heard = 0.0  # when the machine was last heard, time.monotonic()
 
-    async def describe(
-        self, interrupt: Future, timeout: float
-    ) -> DescribeMachine.Response | None:
+    async def describe(self, interrupt: Future, timeout: float) -> DescribeMachine.Response | None:
         """Wait for the machine and ask what it can do; None when interrupted.
 
         Raises:

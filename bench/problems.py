@@ -1,0 +1,207 @@
+"""Problems of the benchmarks: each with its noiseless machine and its own measure of hypervolume.
+
+Beside them what the benchmarks share: a run of the optimiser, and a folder of results that take long to make.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from awa_sim_node.surrogate import Surrogate
+from awa_sim_node.surrogate import metadata as surrogate_metadata
+from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.core.hypervolume import hypervolume
+from mobo_tuner.core.pareto import FloatArray
+
+CACHE = Path(__file__).resolve().parent / ".cache"
+AWA_CONFIG = Path(__file__).resolve().parent.parent / "config" / "awa.yaml"
+SURROGATE_FOLDER = Path(surrogate_metadata.__file__).parent
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """A problem and the machine that answers to it.
+
+    Attributes:
+        problem: what is tuned; every objective is minimised.
+        objectives: from normalised set-points `(n, d)` to objectives `(n, P)`.
+        unit: hypervolume that counts as one.
+        others: diagnostics beside the objectives, by name, from normalised set-points `(n, d)` to `(n,)`.
+    """
+
+    problem: Problem
+    objectives: Callable[[FloatArray], FloatArray]
+    unit: float = 1.0
+    others: dict[str, Callable[[FloatArray], FloatArray]] | None = None
+
+    def measure(self, setpoint: dict[str, float]) -> dict[str, float]:
+        """All diagnostics at a set-point in physical units."""
+        x = self.problem.normalize(setpoint)[None]
+        values = dict(zip(self.problem.objective_names, self.objectives(x)[0], strict=True))
+        return values | {name: other(x)[0] for name, other in (self.others or {}).items()}
+
+    def score(self, objectives: FloatArray) -> float:
+        """Hypervolume of objectives `(n, P)`, in `unit`."""
+        return hypervolume(objectives, self.problem.reference_point) / self.unit
+
+
+@dataclass
+class Run:
+    """What a run of the optimiser left behind.
+
+    Attributes:
+        optimizer: at the end of the run.
+        hypervolumes: after each evaluation, `(n,)`, in the benchmark's unit.
+        asks: wall time of each `ask` [s], `(n,)`.
+        cpu: CPU time of each `ask` [s], `(n,)`.
+        seconds: wall time of the whole run [s].
+    """
+
+    optimizer: Optimizer
+    hypervolumes: FloatArray
+    asks: FloatArray
+    cpu: FloatArray
+    seconds: float
+
+
+def run(
+    benchmark: Benchmark,
+    evaluations: int,
+    seed: int,
+    *,
+    enough: float = math.inf,
+    **settings: Any,
+) -> Run:
+    """Ask and tell, from the initial design until `evaluations` or a hypervolume of `enough`."""
+    optimizer = Optimizer(benchmark.problem, seed=seed, **settings)
+    return resume(benchmark, optimizer, evaluations, enough)
+
+
+def resume(
+    benchmark: Benchmark, optimizer: Optimizer, evaluations: int, enough: float = math.inf
+) -> Run:
+    """Ask and tell `evaluations` times, or until a hypervolume of `enough`."""
+    hypervolumes: list[float] = []
+    asks, cpu = [], []
+    start = time.perf_counter()
+    while len(hypervolumes) < evaluations and max(hypervolumes, default=0.0) < enough:
+        before = time.perf_counter(), time.process_time()
+        setpoint = optimizer.ask()
+        asks.append(time.perf_counter() - before[0])
+        cpu.append(time.process_time() - before[1])
+        optimizer.tell(setpoint, benchmark.measure(setpoint))
+        hypervolumes.append(optimizer.hypervolume / benchmark.unit)
+    seconds = time.perf_counter() - start
+    return Run(optimizer, np.array(hypervolumes), np.array(asks), np.array(cpu), seconds)
+
+
+def first_reaching(hypervolumes: FloatArray, enough: float) -> int | None:
+    """Number of evaluations after which the hypervolume is at least `enough`."""
+    reached = np.flatnonzero(hypervolumes >= enough)
+    return int(reached[0]) + 1 if len(reached) else None
+
+
+def toy_objectives(x: FloatArray) -> FloatArray:
+    """Distances to (1, 1) and (-1, -1) over [-2, 2]^2, [Roussel2021] Eq. (eqn:toy_problem)."""
+    return np.stack(
+        [np.linalg.norm(2.0 * x - 1.0, axis=1), np.linalg.norm(2.0 * x + 1.0, axis=1)], axis=1
+    )
+
+
+def toy(constrained: bool = False) -> Benchmark:
+    """The paper's toy problem; the unit is the true hypervolume, for the reference point 4.3.
+
+    Constrained, x_1 <= 0.5 (figure toy_constrained).
+    """
+    reference = 4.3
+    definition: dict[str, Any] = {
+        "variables": {name: {"min": -2.0, "max": 2.0} for name in ("x1", "x2")},
+        "objectives": {name: {"reference": reference} for name in ("f1", "f2")},
+    }
+    if constrained:
+        definition["constraints"] = {"g": {"max": 0.5}}
+    length = 2.0 * math.sqrt(2.0)
+    # The front is the line from (0, length) to (length, 0).
+    true = reference**2 - 0.5 * length**2
+    others = {"g": lambda x: 2.0 * x[:, 0]} if constrained else None
+    return Benchmark(Problem.from_dict(definition), toy_objectives, true, others)
+
+
+def dtlz2(n_objectives: int = 3, n_variables: int = 6) -> Benchmark:
+    """DTLZ2, whose front is the unit sphere's part with no negative component; reference point 2."""
+
+    def objectives(x: FloatArray) -> FloatArray:
+        unit = 0.5 * (x + 1.0)
+        angles = 0.5 * math.pi * unit[:, : n_objectives - 1]
+        radius = 1.0 + np.square(unit[:, n_objectives - 1 :] - 0.5).sum(axis=1)
+        columns = []
+        for i in range(n_objectives):
+            value = radius * np.cos(angles[:, : n_objectives - 1 - i]).prod(axis=1)
+            columns.append(value * np.sin(angles[:, -i]) if i else value)
+        return np.stack(columns, axis=1)
+
+    reference, half = 2.0, 0.5 * n_objectives
+    ball = math.pi**half / math.gamma(half + 1.0) / 2.0**n_objectives
+    definition = {
+        "variables": {f"x{i}": {"min": 0.0, "max": 1.0} for i in range(n_variables)},
+        "objectives": {f"f{i}": {"reference": reference} for i in range(n_objectives)},
+    }
+    return Benchmark(Problem.from_dict(definition), objectives, reference**n_objectives - ball)
+
+
+def awa() -> Benchmark:
+    """The AWA surrogate, six variables and seven objectives, as in the paper's section sec:accelerator.
+
+    The reference point is the greatest value of each objective. The unit makes the hypervolume that of objectives
+    scaled to [-1, 1], reference point 1; the whole box has 2^7.
+    """
+    config = Problem.from_yaml(AWA_CONFIG)
+    names = config.objective_names
+    ranges = surrogate_metadata.output_ranges()
+    low, high = np.array([ranges[name] for name in names]).T
+    outputs = [[o.name for o in surrogate_metadata.OUTPUTS].index(name) for name in names]
+    problem = Problem.from_dict(
+        {
+            "variables": {v: {"min": a, "max": b} for v, (a, b) in _limits(config).items()},
+            "objectives": {n: {"reference": float(r)} for n, r in zip(names, high, strict=True)},
+        }
+    )
+    surrogate = Surrogate.load()
+    kept = [surrogate.defaults[i.name] for i in surrogate_metadata.INPUTS[len(config.variables) :]]
+    lower, upper = np.array(list(_limits(config).values())).T
+
+    def objectives(x: FloatArray) -> FloatArray:
+        settings = lower + 0.5 * (np.clip(x, -1.0, 1.0) + 1.0) * (upper - lower)
+        return surrogate.predict_array(np.hstack([settings, np.tile(kept, (len(x), 1))]))[
+            :, outputs
+        ]
+
+    return Benchmark(problem, objectives, float(np.prod(0.5 * (high - low))))
+
+
+def _limits(problem: Problem) -> dict[str, tuple[float, float]]:
+    """Bounds of the variables, in the order of the surrogate's inputs."""
+    bounds = {v.name: (v.minimum, v.maximum) for v in problem.variables}
+    return {i.name: bounds[i.name] for i in surrogate_metadata.SETTINGS}
+
+
+def surrogate_digest() -> str:
+    """Eight hexadecimal digits that change with the surrogate."""
+    digest = hashlib.sha256()
+    for name in ("weights.npz", "trained.json"):
+        digest.update((SURROGATE_FOLDER / name).read_bytes())
+    return digest.hexdigest()[:8]
+
+
+def cached(name: str) -> Path:
+    """Path of a file in the folder of results, which exists."""
+    CACHE.mkdir(exist_ok=True)
+    return CACHE / name

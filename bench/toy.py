@@ -1,0 +1,137 @@
+"""The paper's toy problem: sample efficiency, failures, a constraint, proximal biasing.
+
+Every run starts from 5 random points, as in the paper. Prints one part after another, means over the seeds.
+
+    python bench/toy.py --parts share failures constraint proximal
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from problems import Benchmark, Run, run, toy
+
+START = {"initial_evaluations": 5, "initial_design": "random"}
+PRECISION = 4.0  # the paper's, section "Proximal input space exploration", and in the units of its box [-2, 2]
+
+
+def share(options: argparse.Namespace) -> None:
+    """Share of the true hypervolume, reference point 4.3."""
+    at = [10, 15, 20, 25, 40, 60]
+    print(f"share of the true hypervolume after evaluations, {options.seeds} seeds")
+    print("                " + "".join(f"{n:8d}" for n in at))
+    curves = np.array([_run(toy(), 60, s, options).hypervolumes for s in range(options.seeds)])
+    rows = {"mean": np.mean, "std.dev.": np.std, "least": np.min}
+    for name, function in rows.items():
+        print(
+            f"{options.preset:8s}{name:8s}"
+            + "".join(f"{function(curves[:, n - 1]):8.4f}" for n in at)
+        )
+
+
+def failures(options: argparse.Namespace) -> None:
+    """Evaluations that fail where half of the input space does."""
+    benchmark = toy()
+    measure = benchmark.measure
+
+    class Failing(Benchmark):
+        def measure(self, setpoint: dict[str, float]) -> dict[str, float]:
+            values = measure(setpoint)
+            return {n: math.nan for n in values} if setpoint["x1"] > 0.0 else values
+
+    failing = Failing(benchmark.problem, benchmark.objectives, benchmark.unit)
+    counts = []
+    for seed in range(options.seeds):
+        outcome = _run(failing, 30, seed, options)
+        valid = outcome.optimizer.dataset.valid
+        counts.append(int((~valid[5:]).sum()))
+    print(
+        f"x1 > 0 fails: failures among 25 suggestions, {options.seeds} seeds: median {np.median(counts):g}, all {counts}"
+    )
+
+
+def constraint(options: argparse.Namespace) -> None:
+    """Share of evaluations that violate x1 <= 0.5."""
+    feasible = np.array(
+        [
+            _run(toy(constrained=True), 50, s, options).optimizer.dataset.feasible
+            for s in range(options.constraint_seeds)
+        ]
+    )
+    print(f"share that violates x1 <= 0.5, {options.constraint_seeds} seeds")
+    print("evaluations   first 5" + "".join(f"  {i + 1:3d}-{i + 9:<3d}" for i in range(5, 50, 9)))
+    parts = [feasible[:, :5], *(feasible[:, i : i + 9] for i in range(5, 50, 9))]
+    print("violating   " + "".join(f"{1.0 - p.mean():9.3f}" for p in parts))
+    so_far = 1.0 - feasible.cumsum(axis=1) / np.arange(1, 51)
+    print(
+        "of all so far"
+        + "".join(f"  {n}: {so_far[:, n - 1].mean():.3f}" for n in (5, 10, 20, 30, 40, 50))
+    )
+
+
+def proximal(options: argparse.Namespace) -> None:
+    """Length of steps and hypervolume with proximal biasing against those without."""
+    lengths, volumes = [], []
+    for seed in range(options.proximal_seeds):
+        pair: list[Run] = [
+            _run(toy(), options.proximal_evaluations, seed, options, proximal=precision)
+            for precision in (None, PRECISION)
+        ]
+        steps = [
+            np.linalg.norm(np.diff(o.optimizer.dataset.inputs[4:], axis=0), axis=1) for o in pair
+        ]
+        lengths.append([s.mean() for s in steps])
+        volumes.append([o.hypervolumes[-1] for o in pair])
+        print(
+            f"seed {seed}: mean step {lengths[-1][0]:.3f} -> {lengths[-1][1]:.3f}, hypervolume "
+            f"{volumes[-1][0]:.4f} -> {volumes[-1][1]:.4f}",
+            flush=True,
+        )
+    step, volume = np.mean(lengths, axis=0), np.mean(volumes, axis=0)
+    print(
+        f"proximal, {options.proximal_evaluations} evaluations: step {step[1] / step[0]:.3f} of the unbiased one, "
+        f"hypervolume {volume[1] / volume[0]:.4f}"
+    )
+
+
+def _run(
+    benchmark: Benchmark,
+    evaluations: int,
+    seed: int,
+    options: argparse.Namespace,
+    **settings: object,
+) -> Run:
+    return run(benchmark, evaluations, seed, preset=options.preset, **START, **settings)
+
+
+PARTS: dict[str, Callable[[argparse.Namespace], None]] = {
+    "share": share,
+    "failures": failures,
+    "constraint": constraint,
+    "proximal": proximal,
+}
+
+
+def main() -> None:
+    """Print the parts asked for."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--parts", nargs="+", choices=list(PARTS), default=list(PARTS))
+    parser.add_argument("--preset", default="default")
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--constraint-seeds", type=int, default=25)
+    parser.add_argument("--proximal-seeds", type=int, default=10)
+    parser.add_argument("--proximal-evaluations", type=int, default=300)
+    options = parser.parse_args()
+    for part in options.parts:
+        PARTS[part](options)
+
+
+if __name__ == "__main__":
+    main()
