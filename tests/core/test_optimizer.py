@@ -239,6 +239,59 @@ def test_weights_make_it_a_single_objective_problem(acquisition: str) -> None:
     assert min(e.values["f1"] for e in optimizer.dataset.evaluations) < 0.15
 
 
+def test_a_good_prior_mean_finds_the_front_at_once_and_survives_saving(tmp_path: Path) -> None:
+    def predict_f1(x: Mapping[str, np.ndarray]) -> np.ndarray:
+        return np.hypot(x["x1"] - 1.0, x["x2"] - 1.0)
+
+    def predict_f2(x: Mapping[str, np.ndarray]) -> np.ndarray:
+        return np.hypot(x["x1"] + 1.0, x["x2"] + 1.0)
+
+    means = {"f1": predict_f1, "f2": predict_f2}
+    problem = Problem.from_dict(TOY)
+    informed = Optimizer(problem, seed=1, initial_evaluations=2, prior_means=means)
+    for x in tune(informed, 8)[2:]:
+        assert abs(x["x1"] - x["x2"]) < 0.05
+    informed.save(tmp_path / "state.json")
+    assert Optimizer.load(tmp_path / "state.json", means).ask() == informed.ask()
+    with pytest.raises(ProblemError, match="a prior mean is given for 'f3'"):
+        Optimizer(problem, prior_means={"f3": predict_f1})
+
+
+def test_focus_goes_on_around_a_point_of_the_front() -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY), seed=1, initial_evaluations=5)
+    tune(optimizer, 15)
+    front = optimizer.pareto_front()
+    chosen = front[len(front) // 2]
+    focused = optimizer.focus(index=chosen["index"], radius=0.1)
+    assert len(focused.dataset) == 15
+    for x in tune(focused, 5):
+        assert all(abs(x[n] - chosen["setpoint"][n]) <= 0.4 + 1e-9 for n in x)
+
+    weighted = optimizer.focus(weights={"f1": 1.0, "f2": 3.0}, radius=1.0)
+    tune(weighted, 12)
+    # f1 + 3 f2 is least at the lower end of the front, where f2 = 0.
+    assert min(e.values["f2"] for e in weighted.dataset.evaluations) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("keywords", "sentence"),
+    [
+        ({}, "index or weights must be given"),
+        ({"index": 999}, "index is 999; the front has"),
+        ({"weights": {"f1": 1.0}}, "weights name f1; one for each of f1, f2"),
+        ({"weights": {"f1": -1.0, "f2": 1.0}}, "numbers of at least 0"),
+        ({"weights": {"f1": 1.0, "f2": 1.0}, "radius": 0.0}, "radius is 0.0"),
+    ],
+)
+def test_a_focus_that_cannot_be_is_refused(keywords: dict[str, Any], sentence: str) -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY), initial_evaluations=5)
+    with pytest.raises(ProblemError, match="the front is empty"):
+        optimizer.focus(index=0)
+    tune(optimizer, 5)
+    with pytest.raises(ProblemError, match=sentence):
+        optimizer.focus(**keywords)
+
+
 @pytest.mark.parametrize(
     ("keywords", "sentence"),
     [

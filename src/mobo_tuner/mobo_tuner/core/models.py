@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -9,9 +10,13 @@ import numpy as np
 
 from mobo_tuner.core.dataset import Dataset
 from mobo_tuner.core.gaussian_process import GaussianProcess
+from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
 from mobo_tuner.core.presets import OptimizerSettings
-from mobo_tuner.core.problem import Array, Problem
+from mobo_tuner.core.problem import Array, Problem, ProblemError
 from mobo_tuner.core.validity import ValidityModel
+
+PriorMean = Callable[[Mapping[str, Array]], Array]
+"""Predicts one quantity in its own unit, shape ``(n,)``, from one array ``(n,)`` per variable."""
 
 
 class Models:
@@ -23,28 +28,57 @@ class Models:
         problem: whose quantities are modelled.
         settings: how.
         seed: of the random starts of training.
+        prior_means: for some quantities a function that predicts them, see `PriorMean`.
+
+    Raises:
+        ProblemError: a prior mean is given for a quantity that is not modelled.
     """
 
-    def __init__(self, problem: Problem, settings: OptimizerSettings, seed: int) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        settings: OptimizerSettings,
+        seed: int,
+        prior_means: Mapping[str, PriorMean] | None = None,
+    ) -> None:
         self._problem = problem
         self._refit_every = settings.refit_every
         self._seed = seed
+        self._signs = {o.name: o.sign for o in problem.objectives}
+        self._means = {n: self._mean_function(n, f) for n, f in (prior_means or {}).items()}
         process = settings.gaussian_process
+        self._processes = {
+            o.name: GaussianProcess(
+                self._with_prior_mean(process, o.name), reference=o.sign * o.reference
+            )
+            for o in problem.objectives
+        }
         # A constrained diagnostic has no reference point; its mean is that of the data.
         constrained = replace(process, mean="data") if process.mean == "reference" else process
-        self._signs = {o.name: o.sign for o in problem.objectives}
-        self._processes = {
-            o.name: GaussianProcess(process, reference=o.sign * o.reference)
-            for o in problem.objectives
-        } | {
-            c.name: GaussianProcess(constrained)
-            for c in problem.constraints
-            if c.name not in self._signs
-        }
+        for name in problem.required_diagnostics:
+            if name not in self._processes:
+                self._processes[name] = GaussianProcess(self._with_prior_mean(constrained, name))
+        for name in self._means:
+            if name not in self._processes:
+                raise ProblemError(
+                    f"a prior mean is given for '{name}'; allowed are {', '.join(self._processes)}"
+                )
         self.validity = ValidityModel()
         self._judged = 0  # number of evaluations that the model of validity holds
         self._trained = 0  # number of valid evaluations at the last training
         self._held = 0  # number of valid evaluations that the models hold
+
+    def _mean_function(self, name: str, prior_mean: PriorMean) -> MeanFunction:
+        """The prior mean of what is modelled, on normalised inputs."""
+        sign = self._signs.get(name, 1.0)
+        return lambda x: sign * np.asarray(prior_mean(self._problem.columns(x)), dtype=float)
+
+    def _with_prior_mean(
+        self, settings: GaussianProcessSettings, name: str
+    ) -> GaussianProcessSettings:
+        if name not in self._means:
+            return settings
+        return replace(settings, mean=self._means[name], transform="none")
 
     @property
     def ready(self) -> bool:
@@ -119,5 +153,9 @@ class Models:
         for name in self._processes:
             y, stddev = self._observations(name, data)
             self._processes[name] = GaussianProcess.from_state(
-                state["processes"][name], data.inputs[rows], y[rows], stddev[rows]
+                state["processes"][name],
+                data.inputs[rows],
+                y[rows],
+                stddev[rows],
+                mean=self._means.get(name),
             )

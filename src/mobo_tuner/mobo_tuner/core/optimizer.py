@@ -24,9 +24,10 @@ from mobo_tuner.core.acquisition import (
 from mobo_tuner.core.acquisition_optimizer import Maximizer, MultiStart, ParticleSwarm
 from mobo_tuner.core.constraints import ProbabilityOfFeasibility, ProbabilityOfValidity
 from mobo_tuner.core.dataset import Dataset, Evaluation, Measured
+from mobo_tuner.core.focus import around, choose_on_front
 from mobo_tuner.core.hypervolume import BoxDecomposition
 from mobo_tuner.core.initial_design import initial_design
-from mobo_tuner.core.models import Models
+from mobo_tuner.core.models import Models, PriorMean
 from mobo_tuner.core.pareto import is_below, is_nondominated
 from mobo_tuner.core.presets import OptimizerSettings, make_settings
 from mobo_tuner.core.problem import Array, Problem, ProblemError
@@ -61,6 +62,9 @@ class Optimizer:
         problem: what is tuned.
         preset: "default", or "paper" for the paper's recipe to the letter.
         seed: of every random choice, at least 0.
+        prior_means: for some objectives or constrained diagnostics a function that predicts them,
+            such as a surrogate of the machine, from one array per variable; the Gaussian process
+            then learns the difference.
         overrides: single choices in place of the preset's, see `presets.OptimizerSettings`.
 
     Raises:
@@ -68,7 +72,12 @@ class Optimizer:
     """
 
     def __init__(
-        self, problem: Problem, preset: str = "default", seed: int = 0, **overrides: Any
+        self,
+        problem: Problem,
+        preset: str = "default",
+        seed: int = 0,
+        prior_means: Mapping[str, PriorMean] | None = None,
+        **overrides: Any,
     ) -> None:
         if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
             raise ProblemError(f"seed is {seed!r}; a whole number of at least 0 is allowed")
@@ -77,7 +86,7 @@ class Optimizer:
         self.settings = make_settings(preset, overrides)
         self._check_settings()
         self.dataset = Dataset(problem)
-        self._models = Models(problem, self.settings, seed)
+        self._models = Models(problem, self.settings, seed, prior_means)
         self._boxes = BoxDecomposition(problem.reference_point)
         self._hypervolume = 0.0
         self._last_source: Source = "initial"
@@ -140,6 +149,41 @@ class Optimizer:
         self._last_source = "model"
         return self.problem.denormalize(self._candidate())
 
+    def focus(
+        self,
+        index: int | None = None,
+        weights: Mapping[str, float] | None = None,
+        radius: float = 0.2,
+    ) -> Optimizer:
+        """Go on with a single objective around a point of the front ([Roussel2021]_, sec:conclusion).
+
+        The new optimiser minimises the weighted sum of the minimised objectives by expected
+        improvement, within `radius` of the point, and knows all that this one was told.
+
+        Args:
+            index: evaluation of the chosen point; the front's best by `weights` where None.
+            weights: one for each objective, in the inverse of its unit. Where None, each is one over
+                the point's distance to the reference point: then the sum falls where the volume
+                between the two grows.
+            radius: of the new bounds around the point, as a share of each variable's range.
+
+        Raises:
+            ProblemError: the point is not on the front, the weights do not fit, or neither is given.
+        """
+        chosen, sums = choose_on_front(self.problem, self.pareto_front(), index, weights)
+        focused = Optimizer(
+            around(self.problem, chosen, radius),
+            seed=self.seed,
+            acquisition="ei",
+            weights=sums,
+            initial_evaluations=1,
+            kernel=self.settings.kernel,
+        )
+        for evaluation in self.dataset.evaluations:
+            outputs = {n: (v, evaluation.stddevs[n]) for n, v in evaluation.values.items()}
+            focused.tell(evaluation.setpoint, outputs)
+        return focused
+
     # ------------------------------------------------------------------ state
 
     def get_state(self) -> dict[str, Any]:
@@ -161,8 +205,14 @@ class Optimizer:
         }
 
     @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> Optimizer:
+    def from_state(
+        cls, state: Mapping[str, Any], prior_means: Mapping[str, PriorMean] | None = None
+    ) -> Optimizer:
         """The optimiser that `get_state` came from; it asks what that one would have asked.
+
+        Args:
+            state: from `get_state`, also after a passage through JSON.
+            prior_means: the same functions again, where there were some.
 
         Raises:
             ProblemError: the state is of another version or incomplete.
@@ -174,7 +224,9 @@ class Optimizer:
         try:
             restored = cls(Problem.from_dict(state["problem"]), seed=state["seed"])
             restored.settings = OptimizerSettings.from_dict(state["settings"])
-            restored._models = Models(restored.problem, restored.settings, restored.seed)
+            restored._models = Models(
+                restored.problem, restored.settings, restored.seed, prior_means
+            )
             for evaluation in state["evaluations"]:
                 outputs = {n: (pair[0], pair[1]) for n, pair in evaluation["outputs"].items()}
                 restored.tell(evaluation["setpoint"], outputs)
@@ -191,7 +243,9 @@ class Optimizer:
         os.replace(partial, path)
 
     @classmethod
-    def load(cls, path: str | Path) -> Optimizer:
+    def load(
+        cls, path: str | Path, prior_means: Mapping[str, PriorMean] | None = None
+    ) -> Optimizer:
         """Read what `save` wrote.
 
         Raises:
@@ -205,7 +259,7 @@ class Optimizer:
             raise ProblemError(f"the file '{path}' is not JSON") from None
         if not isinstance(state, dict):
             raise ProblemError(f"the file '{path}' holds no state of an optimiser")
-        return cls.from_state(state)
+        return cls.from_state(state, prior_means)
 
     # ------------------------------------------------------------------ candidates
 

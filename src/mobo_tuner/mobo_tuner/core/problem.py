@@ -216,6 +216,13 @@ class Problem:
             for v, xi in zip(self.variables, x, strict=True)
         }
 
+    def columns(self, x: Array) -> dict[str, Array]:
+        """Set-points ``x`` in ``[-1, 1]``, shape ``(n, d)``, as one array ``(n,)`` per variable."""
+        return {
+            v.name: v.minimum + 0.5 * (x[:, j] + 1.0) * (v.maximum - v.minimum)
+            for j, v in enumerate(self.variables)
+        }
+
     def is_feasible(self, values: Mapping[str, float]) -> bool:
         """Whether measured `values` meet every constraint."""
         return all(c.is_met(values.get(c.name, math.nan)) for c in self.constraints)

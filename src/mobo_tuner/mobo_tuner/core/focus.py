@@ -1,0 +1,75 @@
+"""From a front to one working point: which point, which weights, and the bounds around it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from mobo_tuner.core.problem import Problem, ProblemError
+
+
+def choose_on_front(
+    problem: Problem,
+    front: Sequence[Mapping[str, Any]],
+    index: int | None,
+    weights: Mapping[str, float] | None,
+) -> tuple[dict[str, float], tuple[float, ...]]:
+    """The set-point of the chosen point, and the weights of the minimised objectives.
+
+    Arguments and errors are those of `Optimizer.focus`.
+    """
+    if not front:
+        raise ProblemError("the front is empty: there is no point to go on from")
+    if index is None and weights is None:
+        raise ProblemError("index or weights must be given")
+    values = np.array(
+        [[p["objectives"][o.name] * o.sign for o in problem.objectives] for p in front]
+    )
+    if weights is not None:
+        vector = _checked_weights(problem, weights)
+    if index is None:
+        row = int(np.argmin(values @ vector))
+    else:
+        indices = [p["index"] for p in front]
+        if index not in indices:
+            raise ProblemError(
+                f"index is {index!r}; the front has {', '.join(str(i) for i in sorted(indices))}"
+            )
+        row = indices.index(index)
+    if weights is None:
+        vector = 1.0 / (problem.reference_point - values[row])
+    return dict(front[row]["setpoint"]), tuple(float(w) for w in vector)
+
+
+def around(problem: Problem, setpoint: Mapping[str, float], radius: float) -> Problem:
+    """The problem with its bounds drawn in to `radius` of each range around a set-point.
+
+    Raises:
+        ProblemError: the radius is not between 0 and 1.
+    """
+    if not 0.0 < radius <= 1.0:
+        raise ProblemError(f"radius is {radius!r}; a number above 0 and up to 1 is allowed")
+    variables = []
+    for v in problem.variables:
+        reach = radius * (v.maximum - v.minimum)
+        center = setpoint[v.name]
+        low, high = max(v.minimum, center - reach), min(v.maximum, center + reach)
+        variables.append(replace(v, minimum=low, maximum=high))
+    return replace(problem, variables=tuple(variables))
+
+
+def _checked_weights(problem: Problem, weights: Mapping[str, float]) -> np.ndarray[Any, Any]:
+    if weights.keys() != set(problem.objective_names):
+        raise ProblemError(
+            f"weights name {', '.join(weights)}; one for each of "
+            f"{', '.join(problem.objective_names)} is allowed"
+        )
+    vector = np.array([weights[name] for name in problem.objective_names], dtype=float)
+    if not (np.isfinite(vector).all() and (vector >= 0.0).all() and vector.any()):
+        raise ProblemError(
+            f"weights are {dict(weights)}; numbers of at least 0, not all 0, are allowed"
+        )
+    return vector
