@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from awa_sim_node.check_config import check
-from mobo_tuner.core.problem import ProblemError, load_yaml
+from mobo_tuner.core.parameter_file import ProblemError, load_yaml
 
 CONFIG = Path(__file__).parents[2] / "config"
 

@@ -152,7 +152,11 @@ sys.path[:0] = [{str(ROOT)!r}, {str(Path(__file__).parent)!r}]
 from test_environment import FAKE_STAGES, set_up
 set_up(Path({str(root)!r}), (*FAKE_STAGES[:2], replace(FAKE_STAGES[2], command={waiting!r})))
 """
-    process = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        [sys.executable, "-c", program],
+        env={**os.environ, "TMPDIR": str(root)},  # a killed one leaves its build folder there
+        stderr=subprocess.DEVNULL,
+    )
     try:
         wait_until(pid_file.exists, "the stage")
         process.send_signal(number)

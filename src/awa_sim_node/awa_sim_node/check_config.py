@@ -11,7 +11,8 @@ from typing import Any
 
 from awa_sim_node.machine import describe
 from awa_sim_node.parameters import AWA_SIM
-from mobo_tuner.core.problem import Problem, ProblemError, load_yaml
+from mobo_tuner.core.parameter_file import load_yaml
+from mobo_tuner.core.problem import Problem, ProblemError
 from mobo_tuner.ros.parameters import CONSOLE, RECORDER, TUNER, ParameterSpec, check_section
 
 NODES: Mapping[str, tuple[ParameterSpec, ...]] = {

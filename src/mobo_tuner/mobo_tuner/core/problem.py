@@ -17,18 +17,25 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
+
+from mobo_tuner.core.parameter_file import ProblemError, load_yaml
+
+__all__ = [
+    "Array",
+    "Constraint",
+    "Objective",
+    "Observable",
+    "Problem",
+    "ProblemError",
+    "Variable",
+]
 
 Direction = Literal["minimize", "maximize"]
 Array = NDArray[np.float64]
 
 SECTIONS = ("variables", "objectives", "constraints", "observables")
 _NAME = re.compile(r"(?!.*__)[A-Za-z][A-Za-z0-9_]*")
-
-
-class ProblemError(ValueError):
-    """A problem that cannot be tuned; the message is one sentence for the user."""
 
 
 @dataclass(frozen=True)
@@ -277,47 +284,6 @@ class Problem:
                         f"which measures {_list(diagnostics)}"
                     )
                 _check_unit(kind, quantity, diagnostics)
-
-
-def load_yaml(path: str | Path) -> dict[str, Any]:
-    """Read a YAML file that holds a mapping.
-
-    Raises:
-        ProblemError: it cannot be read, is not YAML, repeats a key or holds something else.
-    """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
-        raise ProblemError(f"the file '{path}' cannot be read: {reason}") from None
-    try:
-        content = yaml.load(text, Loader=_UniqueKeyLoader)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f" in line {mark.line + 1}" if mark else ""
-        what = getattr(error, "problem", None) or "cannot be parsed"
-        raise ProblemError(f"the file '{path}' is not valid YAML{where}: {what}") from None
-    except RecursionError:
-        raise ProblemError(f"the file '{path}' is nested too deeply") from None
-    if not isinstance(content, dict):
-        raise ProblemError(f"the file '{path}' must hold a mapping of parameters")
-    return content
-
-
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """YAML loader that refuses a key given twice, of which PyYAML would silently drop the first."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[str] = set()
-        for key_node, _ in node.value:
-            key = getattr(key_node, "value", None)
-            if isinstance(key, str):
-                if key in seen:
-                    raise yaml.constructor.ConstructorError(
-                        None, None, f"the key '{key}' stands twice", key_node.start_mark
-                    )
-                seen.add(key)
-        return super().construct_mapping(node, deep)
 
 
 def _problem_parameters(mapping: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
@@ -16,22 +14,17 @@ from rclpy.task import Future
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_tuner.core import Optimizer, ProblemError
-from mobo_tuner.core.optimizer import Source
 from mobo_tuner.journal import Journal
 from mobo_tuner.ros.conversions import (
-    evaluation_message,
     front_message,
-    measurements_of,
-    named_values,
     problem_message,
-    problem_units,
     seconds,
-    values_of,
 )
 from mobo_tuner.ros.machine_client import Answer, MachineClient, MachineLostError
 from mobo_tuner.ros.parameters import TUNER, declare, declare_problem
 from mobo_tuner.ros.process import STOP_TIMEOUT, exit_process, run_node
 from mobo_tuner.ros.publishers import TunerPublishers
+from mobo_tuner.ros.run import Run, Suggestion
 from mobo_tuner.ros.waiting import first_of, until
 from mobo_tuner.ros.worker import Worker
 from mobo_tuner.run_id import check_run_id, new_run_id
@@ -39,18 +32,9 @@ from mobo_tuner.run_id import check_run_id, new_run_id
 STATUS_PERIOD = 1.0  # [s]
 STOPPED = "the tuner was asked to stop"
 CANCELED = "a client canceled it"
-_SOURCES = {"initial": msg.Evaluation.INITIAL, "model": msg.Evaluation.MODEL}
 _RESULT = EvaluateSetpoint.Result
 # What the machine did go for and could not measure: an evaluation that failed, to be learned from.
 _FAILED_EVALUATION = (_RESULT.TIMEOUT, _RESULT.INVALID_MEASUREMENT, _RESULT.UNKNOWN)
-
-
-class Suggestion(NamedTuple):
-    """Where to measure next, where that comes from, and how long it took to find [s]."""
-
-    setpoint: dict[str, float]
-    source: Source
-    seconds: float
 
 
 class RunError(Exception):
@@ -59,27 +43,6 @@ class RunError(Exception):
     def __init__(self, code: int, message: str) -> None:
         super().__init__(message)
         self.code = code
-
-
-@dataclass
-class Run:
-    """What belongs to one Tune goal."""
-
-    run_id: str
-    budget: int
-    hypervolume_goal: float
-    optimizer: Optimizer
-    goal_id: bytes
-    interrupt: Future  # done when the run shall stop; its result says why
-    journal: Journal | None = None
-    index: int = 0
-    consecutive_failures: int = 0
-    step_started: float = field(default_factory=time.perf_counter)
-
-    @property
-    def interrupted(self) -> bool:
-        """Whether someone asked the run to stop."""
-        return self.interrupt.done()
 
 
 class Tuner:
@@ -240,7 +203,10 @@ class Tuner:
                 "error_code": result.error_code,
                 "error_msg": result.error_msg,
             }
-            run.journal.append(end)
+            try:
+                run.journal.append(end)
+            except OSError as error:
+                self._log.error(f"the end of the run is not in its journal: {error}")
             run.journal.close()
         self._set_status(message=result.error_msg)
         self._log.info(
@@ -270,7 +236,7 @@ class Tuner:
         )
         await self._meet_machine(run)
         run.step_started = time.perf_counter()
-        suggestion = self._worker.submit(_suggest, run.optimizer)
+        suggestion = self._worker.submit(run.suggest)
         while not run.interrupted:
             message = await self._step(run, suggestion)
             if message is None:
@@ -278,7 +244,7 @@ class Tuner:
             goal_met = 0.0 < run.hypervolume_goal <= message.hypervolume
             finished = goal_met or run.index >= run.budget
             if not finished:  # computed while the world is told of this evaluation
-                suggestion = self._worker.submit(_suggest, run.optimizer)
+                suggestion = self._worker.submit(run.suggest)
             self._report(run, message, goal_handle)
             self._judge(run, message)
             if finished:
@@ -322,7 +288,7 @@ class Tuner:
                     Tune.Result.MACHINE_ERROR, f"the machine stopped: {answer.error_msg}"
                 )
             return None
-        message: msg.Evaluation = await self._worker.submit(self._learn, run, suggested, answer)
+        message: msg.Evaluation = await self._worker.submit(run.learn, suggested, answer)
         run.index += 1
         return message
 
@@ -351,25 +317,6 @@ class Tuner:
                 f"the machine refused evaluation {run.index}: {answer.error_msg}",
             )
         return answer
-
-    def _learn(self, run: Run, suggested: Suggestion, answer: Answer) -> msg.Evaluation:
-        """Tell the optimiser and the journal (in the worker thread), a failed evaluation too."""
-        evaluation = run.optimizer.tell(suggested.setpoint, answer.diagnostics)
-        message = evaluation_message(self.problem, evaluation, run.run_id, answer.stamp)
-        message.source = _SOURCES[suggested.source]
-        message.readbacks = named_values(answer.readbacks, problem_units(self.problem))
-        front = run.optimizer.pareto_front()
-        message.non_dominated = any(point["index"] == evaluation.index for point in front)
-        message.hypervolume = run.optimizer.hypervolume
-        message.error_code = answer.error_code
-        message.error_msg = answer.error_msg
-        message.suggest_seconds = suggested.seconds
-        message.machine_seconds = answer.machine_seconds
-        now = time.perf_counter()
-        message.total_seconds, run.step_started = now - run.step_started, now
-        if run.journal is not None:
-            run.journal.append(_journal_record(message, suggested.source))
-        return message
 
     def _report(self, run: Run, message: msg.Evaluation, goal_handle: ServerGoalHandle) -> None:
         """Tell the world of an evaluation: topics, feedback, status."""
@@ -434,34 +381,6 @@ class Tuner:
     def _publish_status(self) -> None:
         self._status.stamp = self.node.get_clock().now().to_msg()
         self._publishers.status(self._status)
-
-
-def _suggest(optimizer: Optimizer) -> Suggestion:
-    started = time.perf_counter()
-    setpoint = optimizer.ask()
-    return Suggestion(setpoint, optimizer.last_source, time.perf_counter() - started)
-
-
-def _journal_record(message: msg.Evaluation, source: str) -> dict:
-    return {
-        "type": "evaluation",
-        "index": message.index,
-        "source": source,
-        "stamp": seconds(message.stamp),
-        "setpoint": values_of(message.setpoint),
-        "readbacks": values_of(message.readbacks),
-        "diagnostics": {
-            name: list(pair) for name, pair in measurements_of(message.diagnostics).items()
-        },
-        "valid": message.valid,
-        "feasible": message.feasible,
-        "error_code": message.error_code,
-        "error_msg": message.error_msg,
-        "hypervolume": message.hypervolume,
-        "suggest_seconds": message.suggest_seconds,
-        "machine_seconds": message.machine_seconds,
-        "total_seconds": message.total_seconds,
-    }
 
 
 def main() -> None:
