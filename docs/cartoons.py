@@ -124,19 +124,22 @@ def draw_acquisition() -> Figure:
     beta = 1.0
     optimistic = mean - math.sqrt(beta) * stddev
 
-    figure = Figure(figsize=(10.6, 8.6))
+    figure = Figure(figsize=(10.0, 9.4))
     panels = figure.subplots(2, 2).ravel()
     _draw_models(panels[0], models, x, front, candidate[0, 0])
 
     expected = np.exp(ExpectedHypervolumeImprovement(models, boxes).log_value(candidate))[0]
     panels[1].set_title(rf"(b) EHVI: the mean over all outcomes, $\alpha$ = {expected:.2f}")
     _show_front(panels[1], front, reference)
-    outcome = mean + np.array([-1.15, 0.55]) * stddev
+    outcome = mean + np.array([-1.6, -0.3]) * stddev
     _shade_improvement(panels[1], front, outcome, reference)
     _show_prediction(panels[1], mean, stddev, shaded=True)
     panels[1].plot(*outcome, "o", color="white", markeredgecolor="black", markersize=6)
     panels[1].annotate(
-        "one outcome", outcome, (0.5, 1.1), arrowprops={"arrowstyle": "-", "color": "#333333"}
+        "one outcome",
+        (outcome[0], outcome[1]),
+        (0.5, 1.1),
+        arrowprops={"arrowstyle": "-", "color": "#333333"},
     )
 
     alpha = UpperConfidenceBoundHypervolumeImprovement(models, boxes, beta)
@@ -178,19 +181,16 @@ def _draw_models(
         axes.fill_between(
             grid[:, 0], mean - stddev, mean + stddev, color=color, alpha=0.2, linewidth=0.0
         )
-        axes.plot(grid, mean, color=color, linestyle=("-", "--")[j])
+        label = rf"$\mu_{j + 1} \pm \sigma_{j + 1}$"
+        axes.plot(grid, mean, color=color, linestyle=("-", "--")[j], label=label)
         axes.plot(x[:, 0], y[:, j], ("o", "s")[j], color=color)
         at = float(model.predict(np.array([[candidate]]))[0][0])
         axes.plot(candidate, at, "x", color="black", markersize=8, markeredgewidth=2)
-        axes.text(
-            -0.99, (2.6, 6.6)[j], rf"$\mu_{j + 1} \pm \sigma_{j + 1}$", color=color, fontsize=11
-        )
     axes.axvline(candidate, color=GREY, linestyle=":")
     axes.text(candidate + 0.03, 0.3, r"candidate $\mathbf{x}$")
-    axes.set(
-        xlim=(-1.02, 1.02), ylim=(0.0, 9.6), xlabel="variable, normalised", ylabel="objectives"
-    )
-    axes.set(box_aspect=1.0, xticks=np.linspace(-1.0, 1.0, 5))
+    axes.set(xlim=(-1.02, 1.02), xlabel="variable, normalised", xticks=np.linspace(-1.0, 1.0, 5))
+    axes.set(ylim=(0.0, 11.0), ylabel="objectives", box_aspect=1.0)
+    axes.legend(loc="upper center", ncols=2, fontsize=11)
 
 
 def _show_front(axes: Axes, front: FloatArray, reference: FloatArray) -> None:
@@ -218,7 +218,7 @@ def _show_optimistic(axes: Axes, mean: FloatArray, optimistic: FloatArray) -> No
     axes.annotate(
         r"$\mu - \sqrt{\beta}\,\sigma$",
         optimistic,
-        optimistic + np.array([-2.5, -1.1]),
+        (optimistic[0] - 2.5, optimistic[1] - 1.1),
         arrowprops={"arrowstyle": "-", "color": "#333333"},
     )
 
@@ -234,7 +234,7 @@ def _shade_outside(axes: Axes, lower: FloatArray, upper: FloatArray) -> None:
     ):
         _rectangle(axes, np.array(low), np.array(high), facecolor="#D9D9D9", edgecolor="none")
     _rectangle(axes, lower, upper, facecolor="none", edgecolor="#555555")
-    axes.text(*(upper + np.array([-0.6, -0.7])), r"$\mathcal{T}$", fontsize=14)
+    axes.text(upper[0] - 0.6, upper[1] - 0.7, r"$\mathcal{T}$", fontsize=14)
 
 
 # ---------------------------------------------------------------- what the panels share

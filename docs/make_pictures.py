@@ -19,19 +19,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cartoons import BLUE, GREEN, RED, draw_acquisition, draw_boxes
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from cartoons import BLUE, GREEN, RED, draw_acquisition, draw_boxes
-
 from awa_sim_node.machine.models import create_model
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.core.acquisition import (
-    UpperConfidenceBoundHypervolumeImprovement,
-)
+from mobo_tuner.core.acquisition import UpperConfidenceBoundHypervolumeImprovement
 from mobo_tuner.core.constraints import ProbabilityOfFeasibility
 from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.hypervolume import BoxDecomposition
@@ -251,7 +248,7 @@ def draw_proximal(options: argparse.Namespace) -> Figure:
         below.texts[-1].set_transform(below.get_xaxis_transform())
         below.set(xlim=(0.0, 4.0), xlabel="step length $L$ in $\\mathbf{x}$")
     panels[1, 0].set_ylabel(f"steps of {options.proximal_seeds} runs [%]")
-    figure.colorbar(dots, ax=panels[0, :], label="suggestion")
+    figure.colorbar(dots, ax=panels[0, :], shrink=0.87, label="suggestion")
     return figure
 
 
@@ -276,8 +273,9 @@ def _show_evaluations(axes: Axes, points: FloatArray) -> Any:
     axes.plot(*points[:INITIAL].T, "x", color=RED, markersize=7, markeredgewidth=2, label="random")
     rest = points[INITIAL:]
     numbers = np.arange(1, len(rest) + 1)
+    x, y = rest.T
     return axes.scatter(
-        *rest.T, c=numbers, cmap=ORDER, edgecolors="white", linewidths=0.8, s=36, zorder=3
+        x, y, c=numbers, cmap=ORDER, edgecolors="white", linewidths=0.8, s=36, zorder=3
     )
 
 

@@ -1,14 +1,20 @@
-"""The network: several small perceptrons side by side, with what is known of the physics built in.
+"""The network: small perceptrons side by side, with what is known of the physics built in.
 
-* The machine is symmetric about its axis but for the quadrupole kick k of the linac coupler, and turning the beam
-  by 90 degrees changes the sign of k. So one function f gives both planes, sigma_x = f(k) and sigma_y = f(-k), and
-  everything longitudinal is even in k.
-* Near a waist, sigma^2 is the square of something that passes through zero, plus a small rest. The network gives
-  these two, which are smooth, and not sigma, which has a kink.
-* Beam is lost where it outgrows the aperture. The network gives the width the beam would have without an
-  aperture; six parameters shared by all rows turn that into the transmission and into the effect on the rest.
+* The machine is symmetric about its axis but for the quadrupole kick k of the linac coupler, and
+  turning the beam by 90 degrees changes the sign of k. So one function f gives both transverse
+  planes, sigma_x = f(k) and sigma_y = f(-k), and everything longitudinal is even in k.
+* The strength of a lens goes with the square of its field over the momentum, so such ratios are
+  inputs beside the plain settings.
+* Near a waist, sigma^2 is the square of something that passes through zero, plus a small rest. The
+  network gives these two, which are smooth, and not sigma, which has a kink.
+* The mean energy is nearly the sum of what the gun and the linac give; only the rest is learnt.
+* Beam is lost where it outgrows the aperture. The network gives the width the beam would have
+  without an aperture; eight parameters shared by all rows turn that into the transmission and its
+  effect on the rest.
 * A coarse mesh shifts the results a little and smoothly: the kind of mesh is an input.
-* The beam half-way to the screen is learnt as well, only because it helps to find the right inner representation.
+* Widths, emittances and lengths have a perceptron each. All learn the beam half-way to the screen
+  besides, and that of the emittances the widths: only because this leads to a better inner
+  representation, which the few rows of the fine mesh could not teach alone.
 """
 
 from __future__ import annotations
@@ -25,27 +31,59 @@ from torch import Tensor, nn
 from awa_sim_node.surrogate.metadata import INPUTS
 
 _PLANES: Final = 2
-_RAW: Final = 7  # focus, floor, eps, sigma_z, eps_z, dE, energy
 _LOGS: Final = 8  # sigma_x, sigma_y, sigma_z, eps_x, eps_y, eps_z, dE, energy
-_KICK: Final = 7  # column of the coupler kick
+_FEATURES: Final = 13
+_DEPTH: Final = 4  # hidden layers
 
-_FLOOR_OFFSET: Final = -1.5  # waists start out narrow against the usual beam
+_WIDTH_FLOOR: Final = math.exp(-1.5)  # first guess of the narrowest waist against the usual width
 _SIZE_POWER: Final = (
-    4.0  # of the mean of the two widths that decides about losses: nearly their maximum
+    4.0  # of the mean of the two widths that decides about losses: nearly the maximum
 )
-_INITIAL_LIMIT: Final = 23.5  # rms width at which losses start [mm]
+_INITIAL_LIMIT: Final = 23.5  # first guess of the rms width at which losses start [mm]
 
 
 class Beam(NamedTuple):
     """What the network says of n beams, for each of M members.
 
+    The logarithms are of the first eight outputs, at the screen and half-way to it.
+
     Attributes:
-        logs: Natural logarithms of the first eight outputs at the screen and half-way to it, ``(M, n, 2, 8)``.
+        logs: Natural logarithms of the outputs, ``(M, n, 2, 8)``.
+        hints: Natural logarithms of the widths as the perceptron of the emittances sees them; they
+            matter in training only, ``(M, n, 2, 2)``.
         log_transmission: Natural logarithm of the transmission to the screen, at most 0, ``(M, n)``.
     """
 
     logs: Tensor
+    hints: Tensor
     log_transmission: Tensor
+
+
+class Perceptrons(nn.Module):
+    """M perceptrons of one shape, evaluated at once, with a linear path beside the hidden layers."""
+
+    def __init__(self, members: int, hidden: int, outputs: int, generator: torch.Generator) -> None:
+        """Create perceptrons with random weights."""
+        super().__init__()
+        sizes = (_FEATURES, *[hidden] * _DEPTH, outputs)
+        self.weights = nn.ParameterList(
+            torch.randn(members, inner, outer, generator=generator) / math.sqrt(inner)
+            for inner, outer in pairwise(sizes)
+        )
+        self.biases = nn.ParameterList(
+            0.3 * torch.randn(members, 1, outer, generator=generator) for outer in sizes[1:-1]
+        )
+        self.biases.append(torch.zeros(members, 1, outputs))
+        self.linear = nn.Parameter(torch.zeros(members, _FEATURES, outputs))
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Return ``(M, n, outputs)`` for the features ``(n, 13)``."""
+        features = features.expand(len(self.linear), -1, -1)
+        values = features
+        *hidden, (last, bias) = zip(self.weights, self.biases, strict=True)
+        for weight, shift in hidden:
+            values = torch.tanh(torch.baddbmm(shift, values, weight))
+        return torch.baddbmm(bias, values, last) + torch.bmm(features, self.linear)
 
 
 class EnsembleNetwork(nn.Module):
@@ -56,19 +94,14 @@ class EnsembleNetwork(nn.Module):
 
         Args:
             members: Number of networks.
-            hidden: Units in each of the two hidden layers.
+            hidden: Units in each hidden layer.
             seed: Seed of the random weights.
         """
         super().__init__()
         generator = torch.Generator().manual_seed(seed)
-        sizes = (len(INPUTS) + 1, hidden, hidden, _PLANES * _RAW)
-        self.weights = nn.ParameterList(
-            torch.randn(members, inner, outer, generator=generator) / math.sqrt(inner)
-            for inner, outer in pairwise(sizes)
-        )
-        self.biases = nn.ParameterList(
-            0.3 * torch.randn(members, 1, outer, generator=generator) for outer in sizes[1:]
-        )
+        self.widths = Perceptrons(members, hidden, 2 * _PLANES, generator)
+        self.emittances = Perceptrons(members, hidden, 2 * _PLANES, generator)
+        self.lengths = Perceptrons(members, hidden, 4 * _PLANES, generator)
         self.loss_threshold = nn.Parameter(torch.full((members, 1), 2.0 * math.log(_INITIAL_LIMIT)))
         self.loss_log_softness = nn.Parameter(torch.full((members, 1), -3.0))
         self.loss_log_slope = nn.Parameter(torch.zeros(members, 1))
@@ -77,7 +110,7 @@ class EnsembleNetwork(nn.Module):
         exponents[:, 0] = 0.5
         self.loss_exponents = nn.Parameter(exponents)
         bounds = torch.tensor([quantity.training_range for quantity in INPUTS])
-        bounds[_KICK, 0] = -bounds[_KICK, 1]
+        bounds[-1, 0] = -bounds[-1, 1]  # the turned beam has the opposite kick
         self.register_buffer("centre", bounds.mean(dim=1))
         self.register_buffer("half_width", 0.5 * (bounds[:, 1] - bounds[:, 0]))
         self.register_buffer("log_mean", torch.zeros(_PLANES, _LOGS))
@@ -87,8 +120,23 @@ class EnsembleNetwork(nn.Module):
         self.log_mean: Tensor
         self.log_scale: Tensor
 
-    def standardise(self, logs: NDArray[np.float64]) -> None:
-        """Take mean and scale of the outputs from ``logs``, ``(n, 2, 8)``."""
+    def groups(self) -> tuple[list[nn.Parameter], list[nn.Parameter]]:
+        """Return the parameters of the layers, and those of the beam loss."""
+        parameters = dict(self.named_parameters())
+        losses = [name for name in parameters if name.startswith("loss_")]
+        return (
+            [parameters[name] for name in parameters if name not in losses],
+            [parameters[name] for name in losses],
+        )
+
+    def matrices(self) -> list[nn.Parameter]:
+        """Return the matrices of all hidden and output layers."""
+        return [*self.widths.weights, *self.emittances.weights, *self.lengths.weights]
+
+    def standardise(self, inputs: NDArray[np.float64], logs: NDArray[np.float64]) -> None:
+        """Take mean and scale of the outputs from ``inputs``, ``(n, 8)``, and ``logs``, ``(n, 2, 8)``."""
+        logs = logs.copy()
+        logs[:, :, 7] -= _log_energy(torch.as_tensor(inputs)).numpy()[:, None]
         mean, scale = logs.mean(axis=0), logs.std(axis=0)
         # The two transverse planes are one function, so they share theirs.
         mean[:, [1, 4]], scale[:, [1, 4]] = mean[:, [0, 3]], scale[:, [0, 3]]
@@ -102,54 +150,51 @@ class EnsembleNetwork(nn.Module):
             inputs: The eight inputs in their units, ``(n, 8)``.
             fine: 1 for the fine mesh, -1 for the coarse one, ``(n,)``.
         """
-        count = len(inputs)
-        scaled = (inputs - self.centre) / self.half_width
-        turned = torch.cat([scaled[:, :_KICK], -scaled[:, _KICK:]], dim=1)
-        features = torch.cat([torch.cat([scaled, turned]), torch.cat([fine, fine])[:, None]], dim=1)
-        raw = self._perceptrons(features)
-        raw = raw.reshape(*raw.shape[:2], _PLANES, _RAW)
-        logs = self._logs(raw[:, :count], raw[:, count:])
+        turned = torch.cat([inputs[:, :-1], -inputs[:, -1:]], dim=1)
+        features = torch.cat([self._features(inputs, fine), self._features(turned, fine)])
+        widths = self._transverse(_log_width(_planes(self.widths(features))), 0, 1.0)
+        emittances = _planes(self.emittances(features))
+        own = self._transverse(emittances[..., 0], 3, self.log_scale[:, 3])
+        hints = self._transverse(emittances[..., 1], 0, self.log_scale[:, 0])
+        one, other = _planes(self.lengths(features)).chunk(2, dim=1)
+        lengths = 0.5 * (one + other) * self.log_scale[:, [2, 5, 6, 7]]
+        lengths = lengths + self.log_mean[:, [2, 5, 6, 7]]
+        energy = lengths[..., 3:] + _log_energy(inputs)[:, None, None]
+        columns = [widths, lengths[..., :1], own, lengths[..., 1:3], energy]
+        logs = torch.cat(columns, dim=-1)
         log_transmission = self._log_transmission(logs[:, :, 0, :2])
-        exponents = self.loss_exponents[:, None, :]
-        changes = torch.cat(
-            [
-                exponents[..., [0, 0, 1, 2, 2, 3, 4]],
-                torch.zeros_like(exponents[..., :1]),  # the mean energy stays
-            ],
-            dim=-1,
-        )
-        at_screen = logs[:, :, 0] + changes * log_transmission[..., None]
-        return Beam(torch.stack([at_screen, logs[:, :, 1]], dim=2), log_transmission)
+        changes = self._changes()[:, None, :] * log_transmission[..., None]
+        logs = torch.stack([logs[:, :, 0] + changes, logs[:, :, 1]], dim=2)
+        return Beam(logs, hints, log_transmission)
 
-    def _perceptrons(self, features: Tensor) -> Tensor:
-        """Return ``(M, n, 14)`` raw outputs for the features ``(n, 9)``."""
-        values = features.expand(len(self.loss_threshold), -1, -1)
-        *hidden, last = zip(self.weights, self.biases, strict=True)
-        for weight, bias in hidden:
-            values = torch.tanh(torch.baddbmm(bias, values, weight))
-        return torch.baddbmm(last[1], values, last[0])
-
-    def _logs(self, raw: Tensor, turned: Tensor) -> Tensor:
-        """Return the logarithms ``(M, n, 2, 8)`` before losses from the raw outputs at k and at -k."""
-        mean, scale = self.log_mean, self.log_scale
-        even = 0.5 * (raw[..., 3:] + turned[..., 3:])
-        columns = [
-            mean[:, 0] + _log_width(raw),
-            mean[:, 1] + _log_width(turned),
-            mean[:, 2] + scale[:, 2] * even[..., 0],
-            mean[:, 3] + scale[:, 3] * raw[..., 2],
-            mean[:, 4] + scale[:, 4] * turned[..., 2],
-            mean[:, 5] + scale[:, 5] * even[..., 1],
-            mean[:, 6] + scale[:, 6] * even[..., 2],
-            mean[:, 7] + scale[:, 7] * even[..., 3],
+    def _features(self, inputs: Tensor, fine: Tensor) -> Tensor:
+        """Return the scaled inputs, the kind of mesh, and four ratios to the gun gradient, ``(n, 13)``."""
+        gun = inputs[:, 4] / self.centre[4]
+        ratios = [
+            2.0 * ((inputs[:, 1] / self.centre[1] / gun) ** 2 - 1.0),
+            2.0 * ((inputs[:, 0] / self.centre[0] / gun) ** 2 - 1.0),
+            2.0 * (inputs[:, 6] / self.centre[6] / gun - 1.0),
+            inputs[:, 7] / self.half_width[7] / gun,
         ]
-        return torch.stack(columns, dim=-1)
+        scaled = (inputs - self.centre) / self.half_width
+        return torch.cat([scaled, torch.stack([fine, *ratios], dim=1)], dim=1)
+
+    def _transverse(self, values: Tensor, column: int, scale: Tensor | float) -> Tensor:
+        """Return x and y as the last axis of ``(M, n, 2, 2)``, from ``(M, 2 n, 2)`` for k and -k."""
+        logs = self.log_mean[:, column] + scale * values
+        return torch.stack(logs.chunk(2, dim=1), dim=-1)
+
+    def _changes(self) -> Tensor:
+        """Return the change of each log with the log of the transmission, ``(M, 8)``."""
+        exponents = self.loss_exponents
+        unchanged = torch.zeros_like(exponents[:, :1])  # the mean energy
+        return torch.cat([exponents[:, [0, 0, 1, 2, 2, 3, 4]], unchanged], dim=1)
 
     def _log_transmission(self, log_widths: Tensor) -> Tensor:
-        """Return the log of the transmission, ``(M, n)``, for the log widths without losses, ``(M, n, 2)``.
+        """Return the log of the transmission, ``(M, n)``, for log widths without losses, ``(M, n, 2)``.
 
-        It is 0 for small beams, and falls in proportion to the logarithm of the beam's area for those beyond
-        the threshold.
+        It is 0 for small beams, and falls in proportion to the logarithm of the beam's area for
+        those beyond the threshold.
         """
         summed = torch.logsumexp(_SIZE_POWER * log_widths, dim=-1) - math.log(2.0)
         log_area = 2.0 / _SIZE_POWER * summed
@@ -158,7 +203,18 @@ class EnsembleNetwork(nn.Module):
         return -torch.exp(self.loss_log_slope) * excess
 
 
-def _log_width(raw: Tensor) -> Tensor:
-    """Return the log of the width against its mean: of the root of (1 + focus)^2 + floor^2."""
-    focus, log_floor = raw[..., 0], raw[..., 1] + _FLOOR_OFFSET
-    return 0.5 * torch.log((1.0 + focus) ** 2 + torch.exp(2.0 * log_floor))
+def _planes(values: Tensor) -> Tensor:
+    """Split the last axis of ``(M, n, 2 q)`` into the two planes along the beam, ``(M, n, 2, q)``."""
+    return values.reshape(*values.shape[:2], _PLANES, -1)
+
+
+def _log_width(values: Tensor) -> Tensor:
+    """Return the log of the root of (1 + focus)^2 + floor^2, from ``(..., 2)``."""
+    focus, floor = values[..., 0], _WIDTH_FLOOR * torch.exp(values[..., 1])
+    return 0.5 * torch.log((1.0 + focus) ** 2 + floor**2)
+
+
+def _log_energy(inputs: Tensor) -> Tensor:
+    """Return the log of a first guess of the energy, ``(n,)``: 0.402 m of linac and 0.1055 m of gun."""
+    linac = 0.402 * inputs[:, 5] * torch.cos(torch.deg2rad(inputs[:, 3]))
+    return torch.log(linac + 0.1055 * inputs[:, 4] - 0.05)

@@ -46,7 +46,7 @@ class Surrogate:
         """Load the weights of the project's own surrogate, or those in ``folder``."""
         with np.load(folder / WEIGHTS_FILE, allow_pickle=False) as file:
             state = {name: torch.as_tensor(file[name]) for name in file.files}
-        members, _, hidden = state["weights.0"].shape
+        members, _, hidden = state["widths.weights.0"].shape
         network = EnsembleNetwork(members, hidden)
         network.load_state_dict(state)
         return cls(network.double())

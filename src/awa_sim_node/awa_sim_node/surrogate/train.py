@@ -20,7 +20,7 @@ from scipy.stats import qmc
 from torch import Tensor
 
 from awa_sim_node.surrogate.metadata import INPUTS, OUTPUTS, TRAINED_FILE
-from awa_sim_node.surrogate.network import EnsembleNetwork
+from awa_sim_node.surrogate.network import Beam, EnsembleNetwork
 from awa_sim_node.surrogate.predictor import WEIGHTS_FILE, Surrogate, combine
 from awa_sim_node.surrogate.simulations import Simulations
 
@@ -38,7 +38,7 @@ class Recipe:
 
     Attributes:
         members: Networks in the ensemble.
-        hidden: Units in each of the two hidden layers.
+        hidden: Units in each hidden layer.
         iterations: Steps of the Adam optimiser, each over all rows.
         learning_rate: Its first learning rate; it falls to nearly 0 along a cosine.
         weight_decay: Weight of the sum of squares of all weights.
@@ -47,9 +47,9 @@ class Recipe:
         seed: Seed of the initial weights and of the division into folds.
     """
 
-    members: int = 6
-    hidden: int = 48
-    iterations: int = 4000
+    members: int = 5
+    hidden: int = 32
+    iterations: int = 6000
     learning_rate: float = 0.01
     weight_decay: float = 1e-5
     coarse_weight: float = 0.3
@@ -70,17 +70,13 @@ def fit(table: Simulations, weights: NDArray[np.float64], recipe: Recipe) -> Ens
     """
     network = EnsembleNetwork(len(weights), recipe.hidden, recipe.seed)
     outputs = _symmetric(table)
-    network.standardise(np.log(outputs[:, :, :8]))
+    network.standardise(table.inputs, np.log(outputs[:, :, :8]))
     inputs, fine = _tensor(table.inputs), _mesh(table)
     logs = _tensor(np.log(outputs[:, :, :8]))
     log_transmission = _tensor(np.log(outputs[:, 0, 8]))
     row_weights = _tensor(weights / weights.sum(axis=1, keepdims=True))
-    plane_weights = _tensor(np.array([1.0, recipe.early_weight]))
 
-    layers = [*network.weights, *network.biases]
-    losses = [
-        parameter for name, parameter in network.named_parameters() if name.startswith("loss_")
-    ]
+    layers, losses = network.groups()
     optimiser = torch.optim.Adam(
         [
             {"params": layers, "lr": recipe.learning_rate},
@@ -93,17 +89,36 @@ def fit(table: Simulations, weights: NDArray[np.float64], recipe: Recipe) -> Ens
     for _ in range(recipe.iterations):
         optimiser.zero_grad()
         beam = network(inputs, fine)
-        errors = (((beam.logs - logs) / network.log_scale) ** 2).mean(dim=-1) @ plane_weights
-        errors = (
-            errors + 0.5 * ((beam.log_transmission - log_transmission) / _TRANSMISSION_SCALE) ** 2
-        )
-        # A sum over members, so that each is trained as if it were alone.
-        loss = (errors * row_weights).sum()
-        loss = loss + recipe.weight_decay * sum((weight**2).sum() for weight in network.weights)
+        errors = _errors(beam, logs, network.log_scale, recipe.early_weight)
+        lost = (beam.log_transmission - log_transmission) / _TRANSMISSION_SCALE
+        # Sums over members, so that each is trained as if it were alone.
+        loss = ((errors + 0.5 * lost**2) * row_weights).sum()
+        loss = loss + recipe.weight_decay * sum((weight**2).sum() for weight in network.matrices())
         loss.backward()
         optimiser.step()
         schedule.step()
     return network.double()
+
+
+def _errors(beam: Beam, logs: Tensor, scale: Tensor, early_weight: float) -> Tensor:
+    """Return the sum over the three perceptrons of their mean squared errors, ``(M, n)``.
+
+    Args:
+        beam: What the network says.
+        logs: What it should say, ``(n, 2, 8)``.
+        scale: Scale of the logs, ``(2, 8)``.
+        early_weight: Weight of the beam half-way to the screen.
+    """
+    planes = torch.tensor([1.0, early_weight])
+    squares = ((beam.logs - logs) / scale) ** 2
+    hints = ((beam.hints - logs[..., :2]) / scale[:, :2]) ** 2
+    widths = squares[..., [0, 1]].mean(dim=-1)
+    emittances = squares[..., [3, 4]].mean(dim=-1)
+    lengths = squares[..., [2, 5, 6, 7]].mean(dim=-1)
+    emittances = 0.5 * (emittances * planes + hints.mean(dim=-1))
+    return (
+        (widths * planes).mean(dim=-1) + emittances.mean(dim=-1) + (lengths * planes).mean(dim=-1)
+    )
 
 
 def cross_validate(table: Simulations, recipe: Recipe, folds: int = FOLDS) -> NDArray[np.float64]:
