@@ -217,7 +217,7 @@ def _show_optimistic(axes: Axes, mean: FloatArray, optimistic: FloatArray) -> No
     axes.plot(*optimistic, "D", color="white", markeredgecolor="black", markersize=6)
     axes.annotate(
         r"$\mu - \sqrt{\beta}\,\sigma$",
-        optimistic,
+        (optimistic[0], optimistic[1]),
         (optimistic[0] - 2.5, optimistic[1] - 1.1),
         arrowprops={"arrowstyle": "-", "color": "#333333"},
     )

@@ -24,7 +24,7 @@ from awa_sim_node.surrogate.network import Beam, EnsembleNetwork
 from awa_sim_node.surrogate.predictor import WEIGHTS_FILE, Surrogate, combine
 from awa_sim_node.surrogate.simulations import Simulations
 
-FOLDS: Final = 10
+FOLDS: Final = 8
 _LAST_LEARNING_RATE: Final = 1e-5
 _LOSS_LEARNING_RATE: Final = 3e-3
 _TRANSMISSION_SCALE: Final = (
@@ -47,7 +47,7 @@ class Recipe:
         seed: Seed of the initial weights and of the division into folds.
     """
 
-    members: int = 5
+    members: int = 4
     hidden: int = 32
     iterations: int = 6000
     learning_rate: float = 0.01

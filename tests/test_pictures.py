@@ -1,0 +1,37 @@
+"""The pictures of docs/method.md can be drawn, and its table of presets says what the presets are."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+from mobo_tuner.core.presets import PRESETS
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+METHOD = (DOCS / "method.md").read_text(encoding="utf-8")
+
+
+def test_the_script_draws_the_pictures_of_the_method(tmp_path: Path) -> None:
+    quick = ["--constraint-seeds", "1", "--proximal-seeds", "1", "--grid", "11"]
+    done = subprocess.run(
+        [sys.executable, "-W", "error", str(DOCS / "make_pictures.py"), str(tmp_path), *quick],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    drawn = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert set(drawn) == set(re.findall(r"\]\(images/([^)]+)\)", METHOD))
+    assert all(content.startswith(b"\x89PNG\r\n\x1a\n") for content in drawn.values())
+
+
+def test_the_table_of_presets_is_current() -> None:
+    rows = re.findall(r"^\| `(\w+)` \| `([^`]+)` \| `([^`]+)` \|", METHOD, flags=re.MULTILINE)
+    default, paper = asdict(PRESETS["default"]), asdict(PRESETS["paper"])
+    assert {name: values for name, *values in rows} == {
+        name: [repr(default[name]), repr(paper[name])] for name in default
+    }
