@@ -13,6 +13,7 @@ import argparse
 import time
 import warnings
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -38,6 +39,11 @@ def seconds(action: Callable[[], object], repeats: int = 1) -> float:
     return (time.process_time() - start) / repeats
 
 
+def _predict_with_gradients(models: list[GaussianProcess], x: FloatArray) -> None:
+    for model in models:
+        model.predict_with_gradient(x)
+
+
 def times(n: int) -> list[float]:
     """Times of COLUMNS with n evaluations [s]."""
     rng = np.random.default_rng(n)
@@ -58,10 +64,8 @@ def times(n: int) -> list[float]:
     with single_blas_thread():
         result.append(seconds(lambda: [m.predict(new) for m in models], 5))
         for m, repeats in ((64, 10), (1, 50)):
-            candidates = new[:m]
-            result.append(
-                seconds(lambda c=candidates: [g.predict_with_gradient(c) for g in models], repeats)
-            )
+            gradients = partial(_predict_with_gradients, models, new[:m])
+            result.append(seconds(gradients, repeats))
     return result
 
 

@@ -185,7 +185,7 @@ def test_add_gives_the_numbers_of_a_rebuild(name, noise):
     assert added.log_marginal_likelihood == pytest.approx(rebuilt.log_marginal_likelihood, rel=1e-5)
 
 
-def test_add_of_duplicates_falls_back_on_a_new_factorisation():
+def test_add_of_duplicates():
     x, y, new = _data(10)
     model = GaussianProcess(GaussianProcessSettings(noise=0.0, minimum_noise=1e-14)).fit(x, y)
     for _ in range(30):

@@ -72,7 +72,7 @@ def test_outputs_are_physically_possible(table: Simulations) -> None:
 
 def test_a_table_with_a_hole_is_refused(tmp_path: Path) -> None:
     lines = SIMULATIONS_FILE.read_text().splitlines()[:3]
-    lines[2] = lines[2].replace(lines[2].split(",")[-1], "nan")
+    lines[2] = lines[2].rsplit(",", 1)[0] + ",nan"
     path = tmp_path / "simulations.csv"
     path.write_text("\n".join(lines) + "\n")
     with pytest.raises(ValueError, match=r"must hold finite values only$"):

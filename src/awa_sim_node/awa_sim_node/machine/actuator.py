@@ -1,7 +1,7 @@
 """One actuator: a power supply or an rf phase shifter that takes its time to get where it is told.
 
-Three things are kept apart, as on a real machine: the *target* it was told, the *position* it has (and
-what the beam feels), and the *readback*, which is the position as its own instrument shows it.
+Three things are kept apart, as on a real machine: the *target* it was told, the *position* it has
+(and what the beam feels), and the *readback*, which is the position as its own instrument shows it.
 """
 
 from __future__ import annotations
@@ -51,10 +51,10 @@ INSTANTANEOUS = ActuatorParameters(
 class Actuator:
     """An actuator with limited speed, lag and readback noise.
 
-    The reference r runs to the target at the slew rate v; the position p follows with a first-order lag,
-    dp/dt = (r - p) / tau. Both are advanced by their exact solution, so that the motion does not depend on
-    the length of the steps. Once the reference has arrived and the position is within the tolerance, the
-    actuator is settled and its control loop holds it on the target.
+    The reference r runs to the target at the slew rate v; the position p follows with a first-order
+    lag, dp/dt = (r - p) / tau. Both are advanced by their exact solution, so that the motion does
+    not depend on the length of the steps. Once the reference has arrived and the position is within
+    the tolerance, the actuator is settled and its control loop holds it on the target.
     """
 
     def __init__(self, parameters: ActuatorParameters, position: float) -> None:
@@ -139,7 +139,7 @@ class Actuator:
         return math.copysign(self._parameters.slew_rate, self._target - self._reference)
 
     def _lag_after(self, dt: float) -> float:
-        """Return the lag r - p after ``dt`` seconds of ramping: v tau + (lag - v tau) exp(-dt / tau)."""
+        """Return v tau + (lag - v tau) exp(-dt / tau), the lag r - p after ``dt`` of ramping."""
         if self._parameters.time_constant == 0.0:
             return 0.0
         if dt == 0.0:

@@ -63,9 +63,9 @@ def average(shots: Sequence[float]) -> tuple[float, float]:
         shots: One value a shot; NaN where a shot gave none.
 
     Returns:
-        The mean over the valid shots and its standard uncertainty: the sample standard deviation of a shot,
-        divided by the square root of their number. The uncertainty is NaN with a single valid shot, which
-        shows no scatter; both are NaN without any.
+        The mean over the valid shots and its standard uncertainty: the sample standard deviation of
+        a shot, divided by the square root of their number. The uncertainty is NaN with a single
+        valid shot, which shows no scatter; both are NaN without any.
     """
     valid = np.asarray([shot for shot in shots if not math.isnan(shot)], dtype=np.float64)
     if valid.size == 0:

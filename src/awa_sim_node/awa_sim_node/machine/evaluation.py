@@ -29,8 +29,8 @@ class EvaluationResult:
 
     Attributes:
         readbacks: One reading a variable, averaged over the shots, in the machine's order.
-        diagnostics: One reading a diagnostic, averaged over the shots, in the machine's order; NaN if not
-            measured.
+        diagnostics: One reading a diagnostic, averaged over the shots, in the machine's order; NaN
+            if not measured.
         shots: Number of shots taken.
         duration: Simulated time the evaluation took [s].
     """

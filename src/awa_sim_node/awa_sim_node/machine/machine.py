@@ -1,6 +1,7 @@
 """The simulated machine: moves, settles and measures in simulated time.
 
-It knows no clock and no ROS: whoever drives it says how much simulated time has passed, with ``step``.
+It knows no clock and no ROS: whoever drives it says how much simulated time has passed, with
+``step``.
 """
 
 from __future__ import annotations
@@ -34,8 +35,9 @@ class Mode(StrEnum):
 class SimulatedMachine:
     """A machine that takes its time and measures with noise.
 
-    It does one thing at a time: an evaluation (``start_evaluation``) or a mere ``move``. Equal seeds and equal
-    orders give equal results, however time is cut into steps and however often the readbacks are looked at.
+    It does one thing at a time: an evaluation (``start_evaluation``) or a mere ``move``. Equal
+    seeds and equal orders give equal results, however time is cut into steps and however often the
+    readbacks are looked at.
     """
 
     def __init__(
@@ -129,7 +131,8 @@ class SimulatedMachine:
             The simulated time until all is settled [s].
 
         Raises:
-            ValueError: If a variable is missing, unknown, not finite or outside its limits; nothing moves.
+            ValueError: If a variable is missing, unknown, not finite or outside its limits; nothing
+                moves.
             RuntimeError: If the machine is busy; nothing changes.
         """
         targets = self._checked(setpoint)
@@ -154,7 +157,8 @@ class SimulatedMachine:
             The evaluation; ``step`` drives it on, and its ``result`` is there once it is finished.
 
         Raises:
-            ValueError: If the set-point is not allowed (see ``move``) or the shots are not 1 to 10 000.
+            ValueError: If the set-point is not allowed (see ``move``), or the shots are not from 1
+                to ``MAX_SHOTS``; nothing moves.
             RuntimeError: If the machine is busy; nothing changes.
         """
         count = self.description.shots if shots is None else shots
@@ -183,7 +187,7 @@ class SimulatedMachine:
             self._pass(part)
 
     def stop(self) -> None:
-        """Stop at once: every actuator holds where it is, and a running evaluation ends as ``stopped``."""
+        """Stop at once: actuators hold where they are, a running evaluation ends as ``stopped``."""
         for actuator in self._actuators.values():
             actuator.hold()
         evaluation = self._running

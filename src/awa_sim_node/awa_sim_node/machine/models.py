@@ -41,8 +41,8 @@ _GRADIENT = ActuatorParameters(
 class AwaModel(Model):
     """The AWA-like injector: the trained surrogate, with the delays and the noise of a real one.
 
-    The delays and noises are assumptions of the size that operators report. Charge and coupler kick are
-    properties of the machine here, not variables.
+    The delays and noises are assumptions of the size that operators report. Charge and coupler kick
+    are properties of the machine here, not variables.
     """
 
     description = MachineDescription(
@@ -105,8 +105,8 @@ _TOY_LIMIT: Final = 2.0
 class ToyModel(Model):
     """The paper's toy problem, [Roussel2021]_ Eq. (eqn:toy_problem).
 
-    f1 = ||x - 1|| and f2 = ||x + 1||, both to be minimised, over x1 and x2 in [-2, 2], and g = x1 for the
-    constrained case. Its actuators are instantaneous.
+    f1 = ||x - 1|| and f2 = ||x + 1||, both to be minimised, over x1 and x2 in [-2, 2], and g = x1
+    for the constrained case. Its actuators are instantaneous.
     """
 
     description = MachineDescription(

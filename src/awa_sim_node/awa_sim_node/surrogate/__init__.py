@@ -1,4 +1,4 @@
-"""A neural network that plays the AWA-like injector (not the paper's surrogate, which is not public)."""
+"""A neural network that plays an AWA-like injector; it is not the paper's surrogate."""
 
 from __future__ import annotations
 

@@ -25,8 +25,8 @@ class Input:
         name: Its name.
         unit: Its unit.
         training_range: Where the surrogate was trained, and outside of which it refuses to answer.
-        machine_limits: The paper's bounds for the six settings; what the simulated machine accepts. For
-            charge and coupler kick, which are no settings, the training range.
+        machine_limits: The paper's bounds for the six settings; what the simulated machine accepts.
+            For charge and coupler kick, which are no settings, the training range.
         meaning: What it is.
     """
 

@@ -51,7 +51,7 @@ class Beam(NamedTuple):
         logs: Natural logarithms of the outputs, ``(M, n, 2, 8)``.
         hints: Natural logarithms of the widths as the perceptron of the emittances sees them; they
             matter in training only, ``(M, n, 2, 2)``.
-        log_transmission: Natural logarithm of the transmission to the screen, at most 0, ``(M, n)``.
+        log_transmission: Natural logarithm of the transmission to the screen, ``(M, n)``.
     """
 
     logs: Tensor
@@ -60,7 +60,7 @@ class Beam(NamedTuple):
 
 
 class Perceptrons(nn.Module):
-    """M perceptrons of one shape, evaluated at once, with a linear path beside the hidden layers."""
+    """M perceptrons of one shape, with a linear path beside the hidden layers."""
 
     def __init__(self, members: int, hidden: int, outputs: int, generator: torch.Generator) -> None:
         """Create perceptrons with random weights."""
@@ -134,7 +134,12 @@ class EnsembleNetwork(nn.Module):
         return [*self.widths.weights, *self.emittances.weights, *self.lengths.weights]
 
     def standardise(self, inputs: NDArray[np.float64], logs: NDArray[np.float64]) -> None:
-        """Take mean and scale of the outputs from ``inputs``, ``(n, 8)``, and ``logs``, ``(n, 2, 8)``."""
+        """Take mean and scale of the outputs from the table.
+
+        Args:
+            inputs: The eight inputs in their units, ``(n, 8)``.
+            logs: Logs of the first eight outputs at both planes, ``(n, 2, 8)``.
+        """
         logs = logs.copy()
         logs[:, :, 7] -= _log_energy(torch.as_tensor(inputs)).numpy()[:, None]
         mean, scale = logs.mean(axis=0), logs.std(axis=0)
@@ -168,7 +173,7 @@ class EnsembleNetwork(nn.Module):
         return Beam(logs, hints, log_transmission)
 
     def _features(self, inputs: Tensor, fine: Tensor) -> Tensor:
-        """Return the scaled inputs, the kind of mesh, and four ratios to the gun gradient, ``(n, 13)``."""
+        """Return scaled inputs, kind of mesh, and four ratios to the gun gradient, ``(n, 13)``."""
         gun = inputs[:, 4] / self.centre[4]
         ratios = [
             2.0 * ((inputs[:, 1] / self.centre[1] / gun) ** 2 - 1.0),
@@ -180,7 +185,7 @@ class EnsembleNetwork(nn.Module):
         return torch.cat([scaled, torch.stack([fine, *ratios], dim=1)], dim=1)
 
     def _transverse(self, values: Tensor, column: int, scale: Tensor | float) -> Tensor:
-        """Return x and y as the last axis of ``(M, n, 2, 2)``, from ``(M, 2 n, 2)`` for k and -k."""
+        """Return ``(M, n, 2, 2)``, x and y last, from ``(M, 2 n, 2)`` for k and -k."""
         logs = self.log_mean[:, column] + scale * values
         return torch.stack(logs.chunk(2, dim=1), dim=-1)
 
@@ -191,10 +196,10 @@ class EnsembleNetwork(nn.Module):
         return torch.cat([exponents[:, [0, 0, 1, 2, 2, 3, 4]], unchanged], dim=1)
 
     def _log_transmission(self, log_widths: Tensor) -> Tensor:
-        """Return the log of the transmission, ``(M, n)``, for log widths without losses, ``(M, n, 2)``.
+        """Return the log of the transmission, ``(M, n)``, for the log widths, ``(M, n, 2)``.
 
-        It is 0 for small beams, and falls in proportion to the logarithm of the beam's area for
-        those beyond the threshold.
+        The widths are those without losses. It is 0 for small beams, and falls in proportion to
+        the logarithm of the beam's area for those beyond the threshold.
         """
         summed = torch.logsumexp(_SIZE_POWER * log_widths, dim=-1) - math.log(2.0)
         log_area = 2.0 / _SIZE_POWER * summed
@@ -204,7 +209,7 @@ class EnsembleNetwork(nn.Module):
 
 
 def _planes(values: Tensor) -> Tensor:
-    """Split the last axis of ``(M, n, 2 q)`` into the two planes along the beam, ``(M, n, 2, q)``."""
+    """Split the last axis into the two planes along the beam: ``(M, n, 2, q)``."""
     return values.reshape(*values.shape[:2], _PLANES, -1)
 
 
@@ -215,6 +220,6 @@ def _log_width(values: Tensor) -> Tensor:
 
 
 def _log_energy(inputs: Tensor) -> Tensor:
-    """Return the log of a first guess of the energy, ``(n,)``: 0.402 m of linac and 0.1055 m of gun."""
+    """Return the log of a first guess of the energy, linac plus gun, ``(n,)``."""
     linac = 0.402 * inputs[:, 5] * torch.cos(torch.deg2rad(inputs[:, 3]))
     return torch.log(linac + 0.1055 * inputs[:, 4] - 0.05)

@@ -55,12 +55,12 @@ class Surrogate:
         """Predict the beam at the screen.
 
         Args:
-            inputs: Floats, or arrays of one length, in physical units (A, deg, MV/m, nC, mT); ``charge`` and
-                ``coupler_kick`` may be left out.
+            inputs: Floats, or arrays of one length, in physical units (A, deg, MV/m, nC, mT);
+                ``charge`` and ``coupler_kick`` may be left out.
 
         Returns:
-            ``sigma_x``, ``sigma_y``, ``sigma_z`` [mm], ``eps_x``, ``eps_y``, ``eps_z`` [mm mrad], ``dE``,
-            ``energy`` [MeV] and ``transmission`` [1]: floats, or arrays if an input is one.
+            ``sigma_x``, ``sigma_y``, ``sigma_z`` [mm], ``eps_x``, ``eps_y``, ``eps_z`` [mm mrad],
+            ``dE``, ``energy`` [MeV] and ``transmission`` [1]: floats, or arrays if an input is one.
 
         Raises:
             ValueError: If an input is missing, unknown, not finite or outside its training range.
@@ -93,7 +93,7 @@ class Surrogate:
             All nine outputs, in the order of ``metadata.OUTPUTS``, ``(n, 9)``.
 
         Raises:
-            ValueError: If the shape is wrong, or a value is not finite or outside its training range.
+            ValueError: If the shape is wrong, or a value not finite or outside its training range.
         """
         inputs = np.asarray(inputs, dtype=np.float64)
         if inputs.ndim != 2 or inputs.shape[1] != len(INPUTS):
@@ -113,8 +113,9 @@ class Surrogate:
         row, column = np.argwhere(outside)[0]
         quantity = INPUTS[column]
         raise ValueError(
-            f"{quantity.name} = {inputs[row, column]:g} {quantity.unit} is outside the range the surrogate was "
-            f"trained in, {self._low[column]:g} to {self._high[column]:g} {quantity.unit}"
+            f"{quantity.name} = {inputs[row, column]:g} {quantity.unit} is outside the range the "
+            f"surrogate was trained in, {self._low[column]:g} to {self._high[column]:g} "
+            f"{quantity.unit}"
         )
 
 

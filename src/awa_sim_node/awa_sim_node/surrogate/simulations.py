@@ -35,7 +35,7 @@ class Simulations:
 
     @property
     def corner(self) -> NDArray[np.bool_]:
-        """Whether the row is in the corner where focusing is hardest, K2 > 250 A and G1 < 66 MV/m, ``(n,)``."""
+        """Whether the row is in the hard corner, K2 > 250 A and G1 < 66 MV/m, ``(n,)``."""
         return (self.inputs[:, 1] > 250.0) & (self.inputs[:, 4] < 66.0)
 
     @classmethod

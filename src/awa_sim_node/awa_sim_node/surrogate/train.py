@@ -1,7 +1,8 @@
 """Train the surrogate: ``python -m awa_sim_node.surrogate.train``.
 
-It first finds the held-out errors by cross-validation, then trains the network on all rows, and writes
-``weights.npz`` and ``trained.json``. One thread, some minutes; equal seeds give equal weights on equal machines.
+It first finds the held-out errors by cross-validation, then trains the network on all rows, and
+writes ``weights.npz`` and ``trained.json``. One thread, some minutes; equal seeds give equal
+weights on equal machines.
 """
 
 from __future__ import annotations
@@ -174,8 +175,8 @@ def error_table(
 def output_ranges(surrogate: Surrogate) -> dict[str, list[float]]:
     """Return the least and greatest prediction of each output over the machine's limits.
 
-    They are taken over 65 536 space-filling points, half of which lie on random faces and edges of the box, where
-    the extremes are; charge and coupler kick have their usual values.
+    They are taken over 65 536 space-filling points, half of which lie on random faces and edges of
+    the box, where the extremes are; charge and coupler kick have their usual values.
     """
     settings = [quantity for quantity in INPUTS if quantity.name not in surrogate.defaults]
     points = qmc.Sobol(2 * len(settings), seed=0).random(2**16)
@@ -228,7 +229,7 @@ def train(
 
 
 def _symmetric(table: Simulations) -> NDArray[np.float64]:
-    """Return the outputs with x and y averaged where the beam is round, which halves their noise."""
+    """Return the outputs with x and y averaged where the beam is round, against noise."""
     outputs = table.outputs.copy()
     round_beam = table.inputs[:, 7] == 0.0
     for x, y in ((0, 1), (3, 4)):

@@ -58,34 +58,26 @@ class ProbabilityOfFeasibility(AcquisitionFunction):
         return log_value, by_mean[:, None] * mean_gradient + by_stddev[:, None] * stddev_gradient
 
 
-class ProbabilityOfValidity(AcquisitionFunction):
-    """Pr[the evaluation at x does not fail] to the power of a caution; the paper has none.
+class ValidityWeight(AcquisitionFunction):
+    """A weight that keeps the search where evaluations are likely to be valid; the paper has none.
 
     A plain probability, as for a constraint, is not enough: a failed evaluation teaches nothing
     about the objectives, so the untouched improvement just beyond a boundary would tempt for ever.
     """
 
-    def __init__(self, model: ValidityModel, caution: float = 1.0) -> None:
-        """Take a model that was fitted to all evaluations, valid or not.
-
-        Raises:
-            ValueError: if `caution`, the exponent, is less than 1.
-        """
-        if not caution >= 1.0:
-            raise ValueError(f"caution must be at least 1, not {caution}")
+    def __init__(self, model: ValidityModel) -> None:
+        """Take a model that was fitted to all evaluations, valid or not."""
         self._model = model
-        self._caution = caution
 
     def log_value_from(self, predictions: Predictions) -> FloatArray:
-        """Return the logarithm of the factor, `(m,)`."""
-        return self._caution * self._model.predict_log_probability(predictions.inputs)
+        """Return the logarithm of the weight, `(m,)`."""
+        return self._model.log_weight(predictions.inputs)
 
     def log_value_with_gradient_from(
         self, predictions: Predictions
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the logarithm of the factor, `(m,)`, and its gradient, `(m, d)`."""
-        log_value, gradient = self._model.predict_log_probability_with_gradient(predictions.inputs)
-        return self._caution * log_value, self._caution * gradient
+        """Return the logarithm of the weight, `(m,)`, and its gradient, `(m, d)`."""
+        return self._model.log_weight_with_gradient(predictions.inputs)
 
 
 def log_probability_between(

@@ -22,7 +22,7 @@ from mobo_tuner.core.acquisition import (
     UpperConfidenceBoundHypervolumeImprovement,
 )
 from mobo_tuner.core.acquisition_optimizer import Maximizer, MultiStart, ParticleSwarm
-from mobo_tuner.core.constraints import ProbabilityOfFeasibility, ProbabilityOfValidity
+from mobo_tuner.core.constraints import ProbabilityOfFeasibility, ValidityWeight
 from mobo_tuner.core.dataset import Dataset, Evaluation, Measured
 from mobo_tuner.core.focus import around, choose_on_front
 from mobo_tuner.core.hypervolume import BoxDecomposition
@@ -37,11 +37,8 @@ from mobo_tuner.core.scalarisation import WeightedSum
 Source = Literal["initial", "model"]
 
 STATE_VERSION = 1
-FAILED_TOLERANCE = (
-    0.02  # a failed set-point is not proposed again within 1 % of every variable's range
-)
-CAUTION_PER_FAILURE = 2.0  # every failure makes the search keep farther away from where more may be
-MOST_CAUTION = 11.0  # so that failures at random do not bend the search
+# A failed set-point is not proposed again within 1 % of every variable's range.
+FAILED_TOLERANCE = 0.02
 _EXPLORED = 1024  # quasi-random points among which exploration chooses
 
 _MAXIMIZERS: dict[str, type[MultiStart] | type[ParticleSwarm]] = {
@@ -302,10 +299,8 @@ class Optimizer:
         # Without a feasible point there is no front to improve: feasibility comes first.
         if not factors or self.dataset.feasible.any():
             factors.insert(0, self._improvement())
-        failed = int((~self.dataset.valid).sum())
-        if failed:
-            caution = min(1.0 + CAUTION_PER_FAILURE * failed, MOST_CAUTION)
-            factors.append(ProbabilityOfValidity(self._models.validity, caution))
+        if not self.dataset.valid.all():
+            factors.append(ValidityWeight(self._models.validity))
         if self.settings.proximal is not None:
             factors.append(ProximalBiasing(self.dataset.inputs[-1], self._precision()))
         return reduce(mul, factors)

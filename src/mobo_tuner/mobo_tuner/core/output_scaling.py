@@ -49,8 +49,8 @@ class OutputScaling:
         """The scaling that suits the observations x `(n, d)`, y `(n,)`; offset None: the data mean.
 
         Where all residuals are the same, to rounding, nothing says how much the function varies:
-        their distance from
-        the prior mean is taken, or, where that is nothing either, 1 / n of the outputs' magnitude.
+        their distance from the prior mean is taken, or, where that is nothing either, 1 / n of the
+        outputs' magnitude.
         """
         values = np.log(y) if log else y
         if mean is not None:

@@ -255,8 +255,8 @@ def train(
 ) -> FloatArray:
     """Hyperparameters `(k + 2,)` for standardised observations, as the settings say.
 
-    Without a second observation, or where z is all zero, there is nothing to learn from: the start
-    is returned.
+    Without a second observation, where z is all zero, or where every hyperparameter is held, there
+    is nothing to learn: the start is returned.
 
     Args:
         settings: held values, bounds, kind of training.
@@ -275,7 +275,7 @@ def train(
     default = objective.default_parameters()
     start = default if former is None else former
     start = np.where(free, np.clip(start, bounds[:, 0], bounds[:, 1]), held)
-    if len(z) < 2 or not z.any():
+    if len(z) < 2 or not z.any() or not free.any():
         return start
     if settings.training == "adam":
         steps = settings.adam_steps if former is None else settings.adam_retraining_steps
