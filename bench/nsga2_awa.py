@@ -11,14 +11,15 @@ NSGA-II needs `bench/requirements.txt`; its results stay in bench/.cache, by the
 from __future__ import annotations
 
 import argparse
+import json
 import math
 
 import numpy as np
 from numba import njit
+from problems import Benchmark, awa, cached, first_reaching, run, surrogate_digest
 
 from mobo_tuner.core.hypervolume import hypervolume
 from mobo_tuner.core.pareto import FloatArray, is_nondominated
-from problems import Benchmark, awa, cached, first_reaching, run, surrogate_digest
 
 POPULATION = 20
 MANY = 1000  # points of a front whose exact hypervolume would take minutes in seven objectives
@@ -110,6 +111,14 @@ def random_search(benchmark: Benchmark, evaluations: int, seed: int) -> float:
     return hypervolume(benchmark.objectives(x), benchmark.problem.reference_point) / benchmark.unit
 
 
+def _parsed(value: str) -> object:
+    """A number or JSON where it is one, the word itself elsewhere."""
+    try:
+        return json.loads(value)
+    except ValueError:
+        return value
+
+
 def main() -> None:
     """Print a row for each seed of NSGA-II and of each preset."""
     parser = argparse.ArgumentParser(
@@ -138,7 +147,9 @@ def main() -> None:
     print("preset   seed  evaluations  at 100  at 200  at the end  random  seconds an ask (median)")
     for preset in options.presets:
         for seed in options.seeds:
-            settings = dict(pair.split("=", 1) for pair in options.set)
+            settings = {
+                name: _parsed(value) for name, value in (p.split("=", 1) for p in options.set)
+            }
             outcome = run(benchmark, options.cap, seed, enough=enough, preset=preset, **settings)
             curve = outcome.hypervolumes
             needed = first_reaching(curve, enough)

@@ -35,15 +35,19 @@ class Benchmark:
         objectives: from normalised set-points `(n, d)` to objectives `(n, P)`.
         unit: hypervolume that counts as one.
         others: diagnostics beside the objectives, by name, from normalised set-points `(n, d)` to `(n,)`.
+        fails: whether the evaluation at a set-point in physical units fails.
     """
 
     problem: Problem
     objectives: Callable[[FloatArray], FloatArray]
     unit: float = 1.0
     others: dict[str, Callable[[FloatArray], FloatArray]] | None = None
+    fails: Callable[[dict[str, float]], bool] | None = None
 
     def measure(self, setpoint: dict[str, float]) -> dict[str, float]:
-        """All diagnostics at a set-point in physical units."""
+        """All diagnostics at a set-point in physical units; none where the evaluation fails."""
+        if self.fails is not None and self.fails(setpoint):
+            return {}
         x = self.problem.normalize(setpoint)[None]
         values = dict(zip(self.problem.objective_names, self.objectives(x)[0], strict=True))
         return values | {name: other(x)[0] for name, other in (self.others or {}).items()}
@@ -116,10 +120,10 @@ def toy_objectives(x: FloatArray) -> FloatArray:
     )
 
 
-def toy(constrained: bool = False) -> Benchmark:
+def toy(constrained: bool = False, failing: bool = False) -> Benchmark:
     """The paper's toy problem; the unit is the true hypervolume, for the reference point 4.3.
 
-    Constrained, x_1 <= 0.5 (figure toy_constrained).
+    Constrained, x_1 <= 0.5 (figure toy_constrained). Failing, every evaluation at x_1 > 0 fails.
     """
     reference = 4.3
     definition: dict[str, Any] = {
@@ -132,7 +136,8 @@ def toy(constrained: bool = False) -> Benchmark:
     # The front is the line from (0, length) to (length, 0).
     true = reference**2 - 0.5 * length**2
     others = {"g": lambda x: 2.0 * x[:, 0]} if constrained else None
-    return Benchmark(Problem.from_dict(definition), toy_objectives, true, others)
+    fails = (lambda setpoint: setpoint["x1"] > 0.0) if failing else None
+    return Benchmark(Problem.from_dict(definition), toy_objectives, true, others, fails)
 
 
 def dtlz2(n_objectives: int = 3, n_variables: int = 6) -> Benchmark:

@@ -1,8 +1,9 @@
 """Time and memory of one suggestion in seven objectives, with as many evaluations told.
 
-The archive is a run of the optimiser itself on the AWA surrogate ("awa": kept in bench/.cache with the times of its whole
-loop, made again when the surrogate changes) or points of a concave sphere ("sphere": the front of most boxes). Then a
-number of suggestions in a row is timed, each told what the machine answers; trainings that fall due are included.
+The archive is a run of the optimiser itself on the AWA surrogate ("awa": kept in bench/.cache with the times of its
+whole loop, made again when the surrogate changes) or points of a concave sphere ("sphere": the front of most boxes).
+Then a number of suggestions in a row is timed, each told what the machine answers; trainings that fall due are
+included.
 
     python bench/suggestion_time.py --archive awa --acquisitions ehvi ucb_hvi
 """
@@ -15,10 +16,10 @@ import resource
 from typing import Any
 
 import numpy as np
-
 from acquisition import sample_front
-from mobo_tuner.core import Optimizer, Problem
 from problems import Benchmark, Run, awa, cached, resume, run, surrogate_digest
+
+from mobo_tuner.core import Optimizer, Problem
 
 N_VARIABLES = 6
 
@@ -91,7 +92,8 @@ def main() -> None:
         asks, cpu = np.array(archive["asks"]), np.array(archive["cpu"])
         print(
             f"whole loop of {options.evaluations} evaluations: {archive['seconds']:.0f} s, CPU {cpu.sum():.0f} s; "
-            f"an ask: median {np.median(asks):.3f} s, longest {asks.max():.2f} s; hypervolume {archive['hypervolumes'][-1]:.2f}"
+            f"an ask: median {np.median(asks):.3f} s, longest {asks.max():.2f} s; "
+            f"hypervolume {archive['hypervolumes'][-1]:.2f}"
         )
         told = archive["state"]["evaluations"]
     else:
