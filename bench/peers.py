@@ -7,12 +7,8 @@ restarts, 512 raw samples). Needs bench/requirements.txt.
 
 from __future__ import annotations
 
-import os
-
-for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_variable, "1")
-
 import argparse
+import os
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -121,7 +117,9 @@ def botorch(n_objectives: int) -> Suggester:
     return suggest
 
 
-def suggestion_times(suggest: Suggester, n: int, n_objectives: int, limit: float) -> Iterator[float]:
+def suggestion_times(
+    suggest: Suggester, n: int, n_objectives: int, limit: float
+) -> Iterator[float]:
     """CPU seconds of suggestions in a row, each evaluated and told, until `limit` is spent."""
     x = qmc.LatinHypercube(N_VARIABLES, rng=np.random.default_rng(1)).random(n)
     y = np.array([dtlz2(row, n_objectives) for row in x])
@@ -142,6 +140,8 @@ def main() -> None:
     parser.add_argument("--suggestions", type=int, default=5, help="at most, of each")
     parser.add_argument("--limit", type=float, default=150.0, help="CPU seconds for each")
     options = parser.parse_args()
+    if os.environ.get("OMP_NUM_THREADS") != "1":
+        parser.error("set OMP_NUM_THREADS=1: one thread for everyone")
     warnings.simplefilter("ignore")
     torch.set_num_threads(1)
     torch.set_default_dtype(torch.float64)
