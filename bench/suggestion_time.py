@@ -16,10 +16,10 @@ import resource
 from typing import Any
 
 import numpy as np
-from acquisition import sample_front
 from problems import Benchmark, Run, awa, cached, resume, run, surrogate_digest
 
 from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.core.pareto import FloatArray
 
 N_VARIABLES = 6
 
@@ -42,14 +42,14 @@ def awa_archive(benchmark: Benchmark, evaluations: int, preset: str, seed: int) 
     return record
 
 
-def sphere(n_objectives: int, points: int) -> tuple[Benchmark, np.ndarray, np.ndarray]:
-    """A machine whose every answer lies on a concave sphere, and set-points `(n, d)` with their objectives."""
+def sphere(n_objectives: int, points: int) -> tuple[Benchmark, FloatArray]:
+    """A machine whose every answer lies on a concave sphere, none dominated, and set-points `(n, d)`."""
     rng = np.random.default_rng(0)
     x = rng.uniform(-1.0, 1.0, (points, N_VARIABLES))
     mixing = rng.standard_normal((N_VARIABLES, n_objectives))
 
-    def objectives(inputs: np.ndarray) -> np.ndarray:
-        share = np.abs(inputs @ mixing) + 1e-3
+    def objectives(inputs: FloatArray) -> FloatArray:
+        share = np.exp(inputs @ mixing)
         return 2.0 * share / np.linalg.norm(share, axis=1, keepdims=True) - 1.0
 
     problem = Problem.from_dict(
@@ -58,7 +58,7 @@ def sphere(n_objectives: int, points: int) -> tuple[Benchmark, np.ndarray, np.nd
             "objectives": {f"f{i}": {"reference": 1.0} for i in range(n_objectives)},
         }
     )
-    return Benchmark(problem, objectives), x, sample_front("concave", points, n_objectives, 0)
+    return Benchmark(problem, objectives), x
 
 
 def report(name: str, timed: Run) -> None:
@@ -97,14 +97,14 @@ def main() -> None:
         )
         told = archive["state"]["evaluations"]
     else:
-        benchmark, x, points = sphere(7, options.evaluations)
+        benchmark, x = sphere(7, options.evaluations)
         names = benchmark.problem.objective_names
         told = [
             {
                 "setpoint": benchmark.problem.denormalize(row),
                 "outputs": {n: (v, np.nan) for n, v in zip(names, point, strict=True)},
             }
-            for row, point in zip(x, points, strict=True)
+            for row, point in zip(x, benchmark.objectives(x), strict=True)
         ]
 
     print("wall and CPU time of one suggestion [s], peak memory of the process so far [MiB]")
