@@ -1,30 +1,14 @@
 """The Gaussian process against scikit-learn, finite differences and its own definition."""
 
 import json
-from typing import get_args
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from gaussian_process_data import KERNELS, sample, smooth
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern
 
 from mobo_tuner.core.gaussian_process import GaussianProcess, GaussianProcessSettings
-from mobo_tuner.core.kernels import KernelName
-
-KERNELS = get_args(KernelName)
-quick = settings(max_examples=30, deadline=None, derandomize=True)
-
-
-def _function(x):
-    return 40.0 + 7.0 * np.sin(2.0 * x[:, 0]) + 3.0 * x[:, 1] ** 2
-
-
-def _data(n=15, d=3, seed=0, noise=0.0):
-    rng = np.random.default_rng(seed)
-    x = rng.uniform(-1, 1, (n, d))
-    return x, _function(x) + noise * rng.normal(size=n), rng.uniform(-1, 1, (7, d))
 
 
 def _assert_gradients(model, x, rtol=1e-4):
@@ -44,7 +28,7 @@ def _assert_gradients(model, x, rtol=1e-4):
 
 @pytest.mark.parametrize("name", ["rbf_isotropic", "rbf", "matern52"])
 def test_posterior_and_likelihood_are_those_of_scikit_learn(name):
-    x, y, new = _data()
+    x, y, new = sample()
     scales = 0.8 if name == "rbf_isotropic" else (0.8, 1.5, 3.0)
     stddev = np.linspace(0.1, 0.5, len(y))
     choice = GaussianProcessSettings(
@@ -67,7 +51,7 @@ def test_posterior_and_likelihood_are_those_of_scikit_learn(name):
 
 
 def test_full_precision_matrix_is_a_rotated_anisotropic_kernel():
-    x, y, new = _data(d=2)
+    x, y, new = sample(d=2)
     turn = np.array([[np.cos(0.5), -np.sin(0.5)], [np.sin(0.5), np.cos(0.5)]])
     precision = turn @ np.diag([4.0, 0.5]) @ turn.T
     full = GaussianProcess(
@@ -102,13 +86,13 @@ def test_toy_problem_with_the_hyperparameters_of_the_paper():
 @pytest.mark.parametrize("name", KERNELS)
 @pytest.mark.parametrize("m", [1, 7, 200])
 def test_gradients_of_predictions(name, m):
-    x, y, _ = _data(noise=0.1)
+    x, y, _ = sample(noise=0.1)
     new = np.random.default_rng(1).uniform(-1, 1, (m, 3))
     _assert_gradients(GaussianProcess(GaussianProcessSettings(kernel=name)).fit(x, y), new)
 
 
 def test_gradients_of_predictions_of_a_logarithm():
-    x, y, new = _data()
+    x, y, new = sample()
     model = GaussianProcess(GaussianProcessSettings(transform="log")).fit(x, np.exp(y / 10.0))
     assert model.model == "data log"
     _assert_gradients(model, new)
@@ -123,7 +107,7 @@ def test_gradients_of_predictions_with_a_mean_function(with_gradient):
     def prior(x):
         return 38.0 + 7.0 * np.sin(2.0 * x[:, 0])
 
-    x, y, new = _data()
+    x, y, new = sample()
     choice = GaussianProcessSettings(mean=prior, mean_gradient=slope if with_gradient else None)
     model = GaussianProcess(choice).fit(x, y)
     assert model.model == "function"
@@ -134,18 +118,18 @@ def test_gradients_of_predictions_with_a_mean_function(with_gradient):
 
 @pytest.mark.parametrize("name", KERNELS)
 def test_learns_a_smooth_function(name):
-    x, y, new = _data(60)
+    x, y, new = sample(60)
     mean, stddev = GaussianProcess(GaussianProcessSettings(kernel=name)).fit(x, y).predict(new)
-    error = np.abs(mean - _function(new))
+    error = np.abs(mean - smooth(new))
     tolerance = 1.5 if name == "rbf_isotropic" else 0.2
     assert error.max() < tolerance
     assert (error < 6.0 * stddev + 1e-6).all()
 
 
 def test_learns_the_noise():
-    x, y, _ = _data(150, noise=0.5)
+    x, y, _ = sample(150, noise=0.5)
     assert GaussianProcess().fit(x, y).noise == pytest.approx(0.5, rel=0.25)
-    x, y, _ = _data(60)
+    x, y, _ = sample(60)
     assert GaussianProcess(GaussianProcessSettings(kernel="rbf")).fit(x, y).noise < 1e-2
 
 
@@ -161,7 +145,7 @@ def test_measured_standard_deviations_weigh_the_observations():
 
 
 def test_unknown_standard_deviation_is_none_at_all():
-    x, y, new = _data()
+    x, y, new = sample()
     known = GaussianProcess().fit(x, y, np.full(len(y), np.nan))
     np.testing.assert_array_equal(known.predict(new), GaussianProcess().fit(x, y).predict(new))
 
@@ -169,7 +153,7 @@ def test_unknown_standard_deviation_is_none_at_all():
 @pytest.mark.parametrize("name", KERNELS)
 @pytest.mark.parametrize("noise", ["learned", 0.0])
 def test_add_gives_the_numbers_of_a_rebuild(name, noise):
-    x, y, new = _data(30)
+    x, y, new = sample(30)
     stddev = np.where(np.arange(30) % 3, 0.05, np.nan)
     choice = GaussianProcessSettings(kernel=name, noise=noise)
     added = GaussianProcess(choice).fit(x[:12], y[:12], stddev[:12])
@@ -186,7 +170,7 @@ def test_add_gives_the_numbers_of_a_rebuild(name, noise):
 
 
 def test_add_of_duplicates():
-    x, y, new = _data(10)
+    x, y, new = sample(10)
     model = GaussianProcess(GaussianProcessSettings(noise=0.0, minimum_noise=1e-14)).fit(x, y)
     for _ in range(30):
         model.add(x[3], y[3])
@@ -195,7 +179,7 @@ def test_add_of_duplicates():
 
 
 def test_add_of_what_has_no_logarithm_fits_anew():
-    x, y, new = _data()
+    x, y, new = sample()
     model = GaussianProcess(GaussianProcessSettings(transform="log")).fit(x, y)
     model.add(new[0], -3.0)
     assert model.model == "data"
@@ -205,7 +189,7 @@ def test_add_of_what_has_no_logarithm_fits_anew():
 
 
 def test_leave_one_out_leaves_one_out():
-    x, y, _ = _data(12, noise=0.3)
+    x, y, _ = sample(12, noise=0.3)
     model = GaussianProcess().fit(x, y)
     left = model.leave_one_out()
     np.testing.assert_allclose(left.residual, y - left.mean)
@@ -222,7 +206,7 @@ def test_leave_one_out_leaves_one_out():
 
 
 def test_mean_far_away_is_the_prior_mean():
-    x, y, _ = _data(8)
+    x, y, _ = sample(8)
     far = 1e6 * np.ones((1, 3))
     for mean, expected in (("data", y.mean()), ("reference", 70.0), (12.5, 12.5)):
         model = GaussianProcess(GaussianProcessSettings(mean=mean), reference=70.0).fit(x, y)
@@ -255,19 +239,19 @@ def test_automatic_transform_takes_the_logarithm_where_it_is_clearly_better():
 
 
 def test_adam_trains():
-    x, y, new = _data(30)
+    x, y, new = sample(30)
     choice = GaussianProcessSettings(
         kernel="rbf", training="adam", adam_rate=0.02, adam_steps=300, adam_retraining_steps=20
     )
     model = GaussianProcess(choice).fit(x, y)
-    np.testing.assert_allclose(model.predict(new)[0], _function(new), atol=1.0)
+    np.testing.assert_allclose(model.predict(new)[0], smooth(new), atol=1.0)
     before = model.precision
     model.fit(x, y)
     assert 0.0 < np.abs(np.log(np.diag(model.precision) / np.diag(before))).max() < 2.0
 
 
 def test_state_through_json_gives_bitwise_the_same_numbers():
-    x, y, new = _data(25)
+    x, y, new = sample(25)
     choice = GaussianProcessSettings(mean="auto", transform="auto", kernel="rbf_full")
     model = GaussianProcess(choice, reference=60.0).fit(x[:15], y[:15])
     for i in range(15, 20):
@@ -296,188 +280,17 @@ def test_state_before_the_first_fit():
 
 
 def test_state_with_a_mean_function_needs_it_again():
-    x, y, new = _data()
-    model = GaussianProcess(GaussianProcessSettings(mean=_function)).fit(x, y + x[:, 2])
+    x, y, new = sample()
+    model = GaussianProcess(GaussianProcessSettings(mean=smooth)).fit(x, y + x[:, 2])
     state = json.loads(json.dumps(model.get_state()))
-    restored = GaussianProcess.from_state(state, x, y + x[:, 2], mean=_function)
+    restored = GaussianProcess.from_state(state, x, y + x[:, 2], mean=smooth)
     np.testing.assert_array_equal(restored.predict(new), model.predict(new))
     with pytest.raises(ValueError, match="mean must be given"):
         GaussianProcess.from_state(state, x, y)
 
 
 def test_state_refuses_too_few_observations():
-    x, y, _ = _data()
+    x, y, _ = sample()
     state = GaussianProcess().fit(x, y).get_state()
     with pytest.raises(ValueError, match="15 observations"):
         GaussianProcess.from_state(state, x[:10], y[:10])
-
-
-@pytest.mark.parametrize("value", [0.0, 5.0, -1e-9, 1e9])
-@pytest.mark.parametrize("n", [1, 2, 30])
-def test_constant_outputs_give_a_constant_mean_and_a_small_spread(value, n):
-    x = np.random.default_rng(0).uniform(-1, 1, (n, 2))
-    model = GaussianProcess().fit(x, np.full(n, value))
-    mean, stddev = model.predict(np.random.default_rng(1).uniform(-1, 1, (5, 2)))
-    np.testing.assert_allclose(mean, value, rtol=1e-9)
-    assert (stddev > 0.0).all()
-    assert (stddev <= (abs(value) or 1.0) / n).all()
-
-
-def test_constant_outputs_below_the_reference_point_rise_towards_it():
-    x = np.random.default_rng(0).uniform(-0.1, 0.1, (5, 1))
-    choice = GaussianProcessSettings(mean="reference")
-    model = GaussianProcess(choice, reference=9.0).fit(x, np.full(5, 2.0))
-    near, far = model.predict([[0.0], [1e6]])[0]
-    assert near == pytest.approx(2.0, abs=0.01)
-    assert far == pytest.approx(9.0)
-
-
-@pytest.mark.parametrize("scale", [1e-9, 1e-3, 1e9])
-@pytest.mark.parametrize("mean", ["data", "reference"])
-def test_predictions_scale_with_the_outputs(scale, mean):
-    x, y, new = _data(noise=0.1)
-    choice = GaussianProcessSettings(mean=mean)
-    plain = GaussianProcess(choice, reference=60.0).fit(x, y)
-    scaled = GaussianProcess(choice, reference=scale * 60.0).fit(x, scale * y)
-    for got, expected in zip(
-        scaled.predict_with_gradient(new), plain.predict_with_gradient(new), strict=True
-    ):
-        np.testing.assert_allclose(
-            got, scale * expected, rtol=1e-2, atol=1e-3 * scale * np.abs(expected).max()
-        )
-
-
-def test_same_input_with_different_outputs_is_noise():
-    x, y, _ = _data(20)
-    model = GaussianProcess().fit(np.vstack([x, x]), np.append(y - 0.5, y + 0.5))
-    assert model.noise == pytest.approx(0.5, rel=0.5)
-    np.testing.assert_allclose(model.predict(x)[0], y, atol=0.5)
-
-
-_magnitudes = st.sampled_from([1e-9, 1e-3, 1.0, 1e6, 1e9])
-
-
-@st.composite
-def _ill_conditioned(draw):
-    n, d = draw(st.integers(1, 12)), draw(st.sampled_from([1, 2, 20]))
-    rng = np.random.default_rng(draw(st.integers(0, 1000)))
-    x = np.round(rng.uniform(-1, 1, (n, d)), draw(st.sampled_from([0, 1, 8])))
-    y = draw(_magnitudes) * rng.normal(size=n) + draw(st.sampled_from([0.0, 1.0, -1e9]))
-    if draw(st.booleans()):
-        y[rng.integers(n)] = 1e6
-    if draw(st.booleans()):
-        x[rng.integers(n)] = x[rng.integers(n)]
-    stddev = draw(st.sampled_from([None, 0.0, 1e-9, 1e9]))
-    return x, y, None if stddev is None else np.full(n, stddev)
-
-
-@quick
-@given(
-    data=_ill_conditioned(),
-    kernel=st.sampled_from(KERNELS),
-    mean=st.sampled_from(["data", "reference", "auto"]),
-    noise=st.sampled_from(["learned", 0.0, 1.0]),
-    transform=st.sampled_from(["none", "auto", "log"]),
-    prior=st.sampled_from(["weak", "none"]),
-)
-def test_ill_conditioned_data_gives_finite_answers(data, kernel, mean, noise, transform, prior):
-    x, y, stddev = data
-    choice = GaussianProcessSettings(
-        kernel=kernel, mean=mean, noise=noise, transform=transform, prior=prior
-    )
-    model = GaussianProcess(choice, reference=3.0).fit(x, y, stddev)
-    for i in range(3):
-        model.add(x[0], y[0] + i, None if stddev is None else stddev[0])
-    for point in (x[:1], x[:1] + 0.1, np.vstack([x, -x])):
-        for part in model.predict_with_gradient(point):
-            assert np.isfinite(part).all()
-        assert (model.predict(point)[1] > 0.0).all()
-    for part in model.leave_one_out():
-        assert np.isfinite(part).all()
-    model.fit(x, y, stddev)
-    assert np.isfinite(model.log_marginal_likelihood)
-
-
-@quick
-@given(seed=st.integers(0, 1000))
-def test_the_order_of_the_observations_does_not_matter(seed):
-    x, y, new = _data(10, noise=0.1)
-    order = np.random.default_rng(seed).permutation(10)
-    choice = GaussianProcessSettings(length_scales=0.7, variance=30.0, noise=0.1)
-    straight, shuffled = (GaussianProcess(choice).fit(x[i], y[i]) for i in (slice(10), order))
-    np.testing.assert_allclose(shuffled.predict(new), straight.predict(new), rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("x", "y", "stddev", "message"),
-    [
-        ([[0.0], [np.nan]], [1.0, 2.0], None, "x must be finite"),
-        ([[0.0], [1.0]], [1.0, np.nan], None, "y must be finite"),
-        ([[0.0], [1.0]], [1.0, np.inf], None, "y must be finite"),
-        ([[0.0], [1.0]], [1.0, 1e101], None, "y must be finite and at most 1e"),
-        ([[0.0], [1.0]], [1.0], None, "y must have one value"),
-        ([[0.0], [1.0]], [[1.0], [2.0]], None, "y must have one value"),
-        (np.empty((0, 2)), [], None, "y must have one value"),
-        ([0.0, 1.0], [1.0, 2.0], None, "x must have shape"),
-        ([[0.0], [1.0]], [1.0, 2.0], [0.1], "stddev must have the shape"),
-        ([[0.0], [1.0]], [1.0, 2.0], [0.1, -0.1], "stddev must be at least 0"),
-        ([[0.0], [1.0]], [1.0, 2.0], [0.1, np.inf], "stddev must be at least 0"),
-    ],
-)
-def test_bad_observations_are_refused(x, y, stddev, message):
-    with pytest.raises(ValueError, match=message):
-        GaussianProcess().fit(x, y, stddev)
-
-
-def test_other_number_of_inputs_is_refused():
-    x, y, new = _data()
-    model = GaussianProcess().fit(x, y)
-    for call in (
-        lambda: model.predict(new[:, :2]),
-        lambda: model.predict_with_gradient(new[:, :2]),
-        lambda: model.add(new[0, :2], 1.0),
-        lambda: model.fit(x[:, :2], y),
-        lambda: model.condition(x[:, :2], y),
-    ):
-        with pytest.raises(ValueError, match=r"x must have shape \(n, 3\)"):
-            call()
-
-
-def test_refused_observation_leaves_the_model_as_it_was():
-    x, y, new = _data()
-    model = GaussianProcess().fit(x, y)
-    before = model.predict(new)
-    with pytest.raises(ValueError, match="y must be finite"):
-        model.add(new[0], np.nan)
-    with pytest.raises(ValueError, match="y must be finite"):
-        model.fit(x, np.full(len(y), np.nan))
-    np.testing.assert_array_equal(model.predict(new), before)
-
-
-def test_nothing_works_before_the_first_fit():
-    with pytest.raises(ValueError, match="call fit first"):
-        GaussianProcess().predict([[0.0]])
-    with pytest.raises(ValueError, match="call fit first"):
-        GaussianProcess().add([0.0], 1.0)
-
-
-def test_reference_is_checked():
-    with pytest.raises(ValueError, match="reference must be given"):
-        GaussianProcess(GaussianProcessSettings(mean="reference"))
-    with pytest.raises(ValueError, match="reference must be finite"):
-        GaussianProcess(reference=np.nan)
-
-
-@pytest.mark.parametrize(
-    ("mean", "gradient", "message"),
-    [
-        (lambda x: x, None, "mean function must return"),
-        (lambda x: np.full(len(x), np.nan), None, "mean function must return"),
-        (lambda x: x[:, 0], lambda x: x[:, 0], "mean_gradient must return"),
-    ],
-)
-def test_bad_mean_functions_are_refused(mean, gradient, message):
-    x, y, new = _data()
-    choice = GaussianProcessSettings(mean=mean, mean_gradient=gradient)
-    with pytest.raises(ValueError, match=message):
-        GaussianProcess(choice).fit(x, y).predict_with_gradient(new)

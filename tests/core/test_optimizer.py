@@ -210,6 +210,40 @@ def test_when_everything_fails_it_explores() -> None:
     assert optimizer.hypervolume == 0.0
 
 
+def test_when_nothing_is_feasible_it_goes_on_asking() -> None:
+    optimizer = Optimizer(with_changes(constraints={"g": {"max": -9.0}}), initial_evaluations=4)
+    asked = tune(optimizer, 9)
+    assert optimizer.pareto_front() == []
+    assert optimizer.hypervolume == 0.0
+    # g = x1 is least at the lower bound, where the constraint comes nearest to being met.
+    assert min(x["x1"] for x in asked[4:]) < -1.9
+
+
+def test_twenty_variables_get_candidates_inside_the_bounds() -> None:
+    names = [f"x{j}" for j in range(20)]
+    problem = with_changes(variables={name: {"min": -2.0, "max": 2.0} for name in names})
+    optimizer = Optimizer(problem, seed=1, initial_evaluations=12)
+
+    def machine(x: Mapping[str, float]) -> dict[str, Any]:
+        point = np.array([x[name] for name in names])
+        return {f"f{i}": float(np.linalg.norm(point - c)) / 4.5 for i, c in ((1, 1.0), (2, -1.0))}
+
+    for x in tune(optimizer, 18, machine):
+        assert x.keys() == set(names)
+        assert all(-2.0 <= value <= 2.0 for value in x.values())
+    assert optimizer.last_source == "model"
+    assert optimizer.hypervolume > 0.0
+
+
+def test_a_spent_time_budget_still_gives_a_candidate() -> None:
+    optimizer = Optimizer(
+        Problem.from_dict(TOY), seed=1, initial_evaluations=4, suggestion_seconds=1e-9
+    )
+    for x in tune(optimizer, 7):
+        assert all(-2.0 <= value <= 2.0 for value in x.values())
+    assert optimizer.last_source == "model"
+
+
 def test_proximal_biasing_shortens_the_steps() -> None:
     lengths = []
     for proximal in (None, 4.0):

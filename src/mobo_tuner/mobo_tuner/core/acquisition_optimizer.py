@@ -16,9 +16,9 @@ from __future__ import annotations
 
 import math
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,8 +47,8 @@ class Maximum:
     complete: bool
 
 
-class Maximizer(Protocol):
-    """What `ParticleSwarm` and `MultiStart` have in common."""
+class Maximizer(ABC):
+    """A way of looking for the maximum of an acquisition function."""
 
     def maximize(
         self,
@@ -82,11 +82,17 @@ class Maximizer(Protocol):
         Raises:
             ValueError: if an argument does not fit.
         """
-        ...
+        search = _Search(acquisition, n_variables, excluded, tolerance, seconds)
+        seeds = _as_rows(starts, "starts", n_variables)
+        return search.run(lambda: self._explore(search, seeds, rng))
+
+    @abstractmethod
+    def _explore(self, search: _Search, seeds: FloatArray, rng: np.random.Generator) -> None:
+        """Evaluate points by `search`, which keeps the best; `seeds` `(k, d)` are promising ones."""
 
 
 @dataclass(frozen=True)
-class ParticleSwarm:
+class ParticleSwarm(Maximizer):
     """Generational particle swarm, as in `[Roussel2021]_`: 64 individuals, 10 generations.
 
     Velocities follow the canonical rule with constriction; every particle is drawn to its own best
@@ -109,23 +115,7 @@ class ParticleSwarm:
     largest_step: float = 0.5
     neighbours: int = 4
 
-    def maximize(
-        self,
-        acquisition: AcquisitionFunction,
-        n_variables: int,
-        rng: np.random.Generator,
-        *,
-        starts: ArrayLike | None = None,
-        excluded: ArrayLike | None = None,
-        tolerance: float = 1e-6,
-        seconds: float | None = None,
-    ) -> Maximum | None:
-        """Look for the largest value, see `Maximizer.maximize`."""
-        search = _Search(acquisition, n_variables, excluded, tolerance, seconds)
-        seeds = _as_rows(starts, "starts", n_variables)
-        return search.run(lambda: self._swarm(search, seeds, rng))
-
-    def _swarm(self, search: _Search, seeds: FloatArray, rng: np.random.Generator) -> None:
+    def _explore(self, search: _Search, seeds: FloatArray, rng: np.random.Generator) -> None:
         shape = (self.population, search.n_variables)
         fastest = 2.0 * self.largest_step
         x = rng.uniform(-1.0, 1.0, shape)
@@ -151,7 +141,7 @@ class ParticleSwarm:
 
 
 @dataclass(frozen=True)
-class MultiStart:
+class MultiStart(Maximizer):
     """Gradient ascent from many starts that are far from each other.
 
     The best points by value alone all lie in one basin. Therefore the screened points are thinned
@@ -186,23 +176,7 @@ class MultiStart:
     finished: int = 3
     iterations: int = 30
 
-    def maximize(
-        self,
-        acquisition: AcquisitionFunction,
-        n_variables: int,
-        rng: np.random.Generator,
-        *,
-        starts: ArrayLike | None = None,
-        excluded: ArrayLike | None = None,
-        tolerance: float = 1e-6,
-        seconds: float | None = None,
-    ) -> Maximum | None:
-        """Look for the largest value, see `Maximizer.maximize`."""
-        search = _Search(acquisition, n_variables, excluded, tolerance, seconds)
-        seeds = _as_rows(starts, "starts", n_variables)
-        return search.run(lambda: self._climb(search, seeds, rng))
-
-    def _climb(self, search: _Search, seeds: FloatArray, rng: np.random.Generator) -> None:
+    def _explore(self, search: _Search, seeds: FloatArray, rng: np.random.Generator) -> None:
         d = search.n_variables
         x = np.empty((0, d))
         if len(seeds):
