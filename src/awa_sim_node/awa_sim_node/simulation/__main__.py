@@ -37,7 +37,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         make_table(options["file"], range(options["rows"]), options["workers"])
         return
     planes, seed = sorted(options.pop("planes")), options.pop("seed")
-    for plane, moments in zip(planes, Injector(Settings(**options)).track(planes, seed=seed), strict=True):
+    for plane, moments in zip(
+        planes, Injector(Settings(**options)).track(planes, seed=seed), strict=True
+    ):
         print(f"{plane:g} m: " + ", ".join(f"{k} {v:.5g}" for k, v in asdict(moments).items()))
 
 
