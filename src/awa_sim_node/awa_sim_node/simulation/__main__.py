@@ -1,0 +1,47 @@
+"""The simulation as a command: ``python -m awa_sim_node.simulation beam | table``."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import MISSING, asdict, fields
+from pathlib import Path
+
+from awa_sim_node.simulation.injector import HALF_WAY, SCREEN, Injector, Settings
+from awa_sim_node.simulation.samples import ROWS
+from awa_sim_node.simulation.table import make_table
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Track one beam, or make the table of simulations."""
+    parser = argparse.ArgumentParser(
+        prog="python -m awa_sim_node.simulation",
+        description="Particle-in-cell simulation of an AWA-like injector.",
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    beam = commands.add_parser("beam", help="track one beam and print its moments")
+    usual = {"K1": 475.0, "K2": 230.0, "phi1": -5.0, "phi2": -5.0, "G1": 67.5, "G2": 20.0}
+    for field in fields(Settings):
+        default = usual[field.name] if field.default is MISSING else field.default
+        beam.add_argument(f"--{field.name}", type=float, default=default)
+    beam.add_argument("--seed", type=int, default=0, help="of the particles")
+    beam.add_argument(
+        "--planes", type=float, nargs="+", default=[HALF_WAY, SCREEN], help="where to look [m]"
+    )
+    table = commands.add_parser("table", help="make the surrogate's table, or go on with it")
+    table.add_argument("file", type=Path, help="the CSV file")
+    table.add_argument("--rows", type=int, default=ROWS, help="how many the table shall have")
+    table.add_argument("--workers", type=int, default=2, help="processes")
+    options = vars(parser.parse_args(arguments))
+    if options.pop("command") == "table":
+        make_table(options["file"], range(options["rows"]), options["workers"])
+        return
+    planes, seed = sorted(options.pop("planes")), options.pop("seed")
+    for plane, moments in zip(
+        planes, Injector(Settings(**options)).track(planes, seed=seed), strict=True
+    ):
+        print(f"{plane:g} m: " + ", ".join(f"{k} {v:.5g}" for k, v in asdict(moments).items()))
+
+
+if __name__ == "__main__":
+    main()

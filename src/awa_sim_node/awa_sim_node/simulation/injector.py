@@ -1,0 +1,190 @@
+"""The whole injector: from the laser on the cathode to the screen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+import numpy as np
+
+from awa_sim_node.simulation.bunch import Bunch, Laser, emit
+from awa_sim_node.simulation.constants import SPEED_OF_LIGHT
+from awa_sim_node.simulation.field_map import FieldMap
+from awa_sim_node.simulation.gun import ANGULAR_FREQUENCY, gun_map
+from awa_sim_node.simulation.linac import linac_map
+from awa_sim_node.simulation.moments import Moments, moments
+from awa_sim_node.simulation.phasing import gun_crest, linac_crest
+from awa_sim_node.simulation.pusher import Beamline, push
+from awa_sim_node.simulation.solenoid import solenoid_maps, superpose
+from awa_sim_node.simulation.space_charge import BunchField, SpaceCharge
+
+SCREEN: Final = 3.1
+"""The first screen [m from the cathode]."""
+
+HALF_WAY: Final = 1.95
+"""Behind the linac [m from the cathode]."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Where the machine stands; names and units are those of the surrogate's inputs.
+
+    Attributes:
+        K1: Current of the bucking and focusing solenoid [A].
+        K2: Current of the matching solenoid [A].
+        phi1: Gun phase from crest [deg].
+        phi2: Linac phase from crest [deg].
+        G1: Gun gradient [MV/m].
+        G2: Linac gradient [MV/m]; 0 for no linac.
+        charge: Bunch charge [nC]; 0 for no space charge.
+        coupler_kick: Integrated quadrupole gradient of the linac's coupler [mT].
+    """
+
+    K1: float  # noqa: N815
+    K2: float  # noqa: N815
+    phi1: float
+    phi2: float
+    G1: float  # noqa: N815
+    G2: float  # noqa: N815
+    charge: float = 40.0
+    coupler_kick: float = 0.0
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """How finely to compute.
+
+    Attributes:
+        mesh: Nodes of the space charge's mesh, ``(nx, ny, nz)``.
+        particles: Macro-particles.
+        emission_steps: Steps while the laser shines.
+        growth: A step is at most this share of the time since the laser.
+        longest_step: In the fields of the machine [s].
+        refresh: Time between two solutions for the field of the bunch, as a share of the time
+            since the laser; never less than a step.
+        longest_refresh: Its upper bound [s].
+        image_until: The image in the cathode counts until the bunch is there [m].
+    """
+
+    mesh: tuple[int, int, int] = (24, 24, 48)
+    particles: int = 10_000
+    emission_steps: int = 50
+    growth: float = 0.02
+    longest_step: float = 7e-12
+    refresh: float = 0.06
+    longest_refresh: float = 60e-12
+    image_until: float = 0.02
+
+
+_FEWEST: Final = 20
+"""Particles that make a field worth computing."""
+
+Observer = Callable[[float, float, Bunch], None]
+"""Called after each solution with the time [s], the mean position [m] and the bunch."""
+
+
+class Injector:
+    """The machine at one set of settings."""
+
+    def __init__(self, settings: Settings, laser: Laser | None = None) -> None:
+        """Scale the fields, and find the crest of gun and linac."""
+        self.settings = settings
+        self.laser = laser or Laser()
+        gun, focusing, matching, linac = _maps()
+        solenoids = superpose(focusing.scaled(settings.K1), matching.scaled(settings.K2))
+        gun, linac = gun.scaled(1e6 * settings.G1), linac.scaled(1e6 * settings.G2)
+        self.beamline = Beamline(gun, solenoids, linac, 1e-3 * settings.coupler_kick)
+        self.gun_phase = gun_crest(gun) + settings.phi1
+        self.linac_phase = 0.0
+        if settings.G2 > 0.0:
+            self.linac_phase = linac_crest(gun, self.gun_phase, linac) + settings.phi2
+
+    def track(
+        self,
+        planes: Sequence[float] = (HALF_WAY, SCREEN),
+        resolution: Resolution | None = None,
+        seed: int = 0,
+        observer: Observer | None = None,
+        solver: SpaceCharge | None = None,
+    ) -> list[Moments]:
+        """Track a bunch, and return its moments when its mean is at each of the planes.
+
+        Args:
+            planes: Rising positions [m from the cathode].
+            resolution: How finely; by default that of the data set.
+            seed: Seed of the bunch.
+            observer: Called on the way.
+            solver: One of the same mesh to use again.
+        """
+        resolution = resolution or Resolution()
+        solver = solver or SpaceCharge(resolution.mesh)
+        space_charge = self.settings.charge > 0.0
+        bunch = emit(self.laser, 1e-9 * self.settings.charge, resolution.particles, seed)
+        pulse = 2.0 * self.laser.centre
+        enough = float(np.sort(bunch.emission)[_FEWEST])
+        gun_start = math.radians(self.gun_phase) - ANGULAR_FREQUENCY * self.laser.centre
+        linac_start = math.radians(self.linac_phase) - ANGULAR_FREQUENCY * self.laser.centre
+        time, position, momentum, force = 0.0, 0.0, 0.0, 0.0
+        field, field_time, next_field = _no_field(), -1.0, 0.0
+        passed: list[Moments] = []
+        while len(passed) < len(planes):
+            dt, refresh = _steps(resolution, time, pulse)
+            if space_charge and time >= next_field and time + 0.5 * refresh > enough:
+                image = position < resolution.image_until
+                field = solver.field(bunch, time, 0.5 * refresh, force, image)
+                field_time, next_field = time + 0.5 * refresh, time + (1.0 - 1e-9) * refresh
+                if observer is not None:
+                    observer(time, position, bunch)
+            velocity = SPEED_OF_LIGHT * momentum / math.sqrt(1.0 + momentum**2)
+            arrival = (planes[len(passed)] - position) / velocity if velocity > 0.0 else math.inf
+            arrived = time > pulse and arrival <= dt
+            dt = arrival if arrived else dt
+            middle = time + 0.5 * dt
+            moved = field._replace(z=field.z + _advance(field.momentum, force, middle - field_time))
+            count, position, momentum, force = push(
+                bunch.phase_space,
+                bunch.state,
+                bunch.emission,
+                time,
+                dt,
+                self.beamline,
+                gun_start + ANGULAR_FREQUENCY * middle,
+                linac_start + ANGULAR_FREQUENCY * middle,
+                field_time >= 0.0,
+                moved,
+            )
+            time += dt
+            if arrived or (count == 0 and time > pulse):
+                passed.append(moments(bunch))
+        return passed
+
+
+def _steps(resolution: Resolution, time: float, pulse: float) -> tuple[float, float]:
+    """Return the length of a step, and that of the interval the bunch's field is kept for."""
+    if time < (1.0 - 1e-9) * pulse:
+        dt = pulse / resolution.emission_steps
+        return dt, dt
+    dt = max(pulse / resolution.emission_steps, resolution.growth * time)
+    dt = min(dt, resolution.longest_step)
+    refresh = max(dt, min(resolution.refresh * time, resolution.longest_refresh))
+    # A whole number of steps, so that the field's middle is that of the interval.
+    return dt, dt * round(refresh / dt)
+
+
+def _advance(momentum: float, force: float, interval: float) -> float:
+    """Return how far a particle goes [m] at a constant force [mc/s]."""
+    later = momentum + force * interval
+    mean = (momentum + later) / (math.sqrt(1.0 + momentum**2) + math.sqrt(1.0 + later**2))
+    return SPEED_OF_LIGHT * mean * interval
+
+
+@cache
+def _maps() -> tuple[FieldMap, FieldMap, FieldMap, FieldMap]:
+    return (gun_map(), *solenoid_maps(), linac_map())
+
+
+def _no_field() -> BunchField:
+    return BunchField(np.zeros((1, 1, 1, 5)), 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0)
