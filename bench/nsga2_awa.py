@@ -5,7 +5,8 @@ hypervolume to reach counts everything that it evaluated, which favours it; that
 it. A front of more than 1000 points is measured by random points in its box, with the standard error. Random search
 with as many evaluations as the preset needed is reported with it.
 
-NSGA-II needs `bench/requirements.txt`; its results stay in bench/.cache, by the surrogate's digest.
+NSGA-II needs `bench/requirements.txt`. All results stay in bench/.cache, those of unfinished runs too: stopped, the
+benchmark goes on where it was.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ import math
 
 import numpy as np
 from numba import njit
-from problems import Benchmark, awa, cached, first_reaching, run, surrogate_digest
+from problems import Benchmark, awa, cached, first_reaching, surrogate_digest
+from saved_runs import saved_run
 
 from mobo_tuner.core.hypervolume import hypervolume
 from mobo_tuner.core.pareto import FloatArray, is_nondominated
@@ -150,7 +152,9 @@ def main() -> None:
             settings = {
                 name: _parsed(value) for name, value in (p.split("=", 1) for p in options.set)
             }
-            outcome = run(benchmark, options.cap, seed, enough=enough, preset=preset, **settings)
+            outcome = saved_run(
+                "awa", benchmark, options.cap, seed, enough=enough, preset=preset, **settings
+            )
             curve = outcome.hypervolumes
             needed = first_reaching(curve, enough)
             at = [f"{curve[n - 1]:6.2f}" if n <= len(curve) else "     -" for n in (100, 200)]

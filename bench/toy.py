@@ -1,8 +1,8 @@
-"""The paper's toy problem: sample efficiency, failures, a constraint, proximal biasing.
+"""The paper's toy problem: sample efficiency, failures, a constraint.
 
 Every run starts from 5 random points, as in the paper. Prints one part after another, means over the seeds.
 
-    python bench/toy.py --parts share failures constraint proximal
+    python bench/toy.py --parts share failures constraint
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from problems import Benchmark, Run, run, toy
 
-START = {"initial_evaluations": 5, "initial_design": "random"}
-PRECISION = 4.0  # as in the paper, but here of normalised variables
+START: dict[str, object] = {"initial_evaluations": 5, "initial_design": "random"}
 
 
 def share(options: argparse.Namespace) -> None:
@@ -64,46 +63,19 @@ def constraint(options: argparse.Namespace) -> None:
     )
 
 
-def proximal(options: argparse.Namespace) -> None:
-    """Length of steps and hypervolume with proximal biasing against those without."""
-    lengths, volumes = [], []
-    for seed in range(options.proximal_seeds):
-        pair: list[Run] = [
-            _run(toy(), options.proximal_evaluations, seed, options, proximal=precision)
-            for precision in (None, PRECISION)
-        ]
-        steps = [
-            np.linalg.norm(np.diff(o.optimizer.dataset.inputs[4:], axis=0), axis=1) for o in pair
-        ]
-        lengths.append([s.mean() for s in steps])
-        volumes.append([o.hypervolumes[-1] for o in pair])
-        print(
-            f"seed {seed}: mean step {lengths[-1][0]:.3f} -> {lengths[-1][1]:.3f}, hypervolume "
-            f"{volumes[-1][0]:.4f} -> {volumes[-1][1]:.4f}",
-            flush=True,
-        )
-    step, volume = np.mean(lengths, axis=0), np.mean(volumes, axis=0)
-    print(
-        f"proximal, {options.proximal_evaluations} evaluations: step {step[1] / step[0]:.3f} of the unbiased one, "
-        f"hypervolume {volume[1] / volume[0]:.4f}"
-    )
-
-
 def _run(
     benchmark: Benchmark,
     evaluations: int,
     seed: int,
     options: argparse.Namespace,
-    **settings: object,
 ) -> Run:
-    return run(benchmark, evaluations, seed, preset=options.preset, **START, **settings)
+    return run(benchmark, evaluations, seed, preset=options.preset, **START)
 
 
 PARTS: dict[str, Callable[[argparse.Namespace], None]] = {
     "share": share,
     "failures": failures,
     "constraint": constraint,
-    "proximal": proximal,
 }
 
 
@@ -116,8 +88,6 @@ def main() -> None:
     parser.add_argument("--preset", default="default")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--constraint-seeds", type=int, default=25)
-    parser.add_argument("--proximal-seeds", type=int, default=10)
-    parser.add_argument("--proximal-evaluations", type=int, default=300)
     options = parser.parse_args()
     for part in options.parts:
         PARTS[part](options)

@@ -294,3 +294,24 @@ def test_state_refuses_too_few_observations():
     state = GaussianProcess().fit(x, y).get_state()
     with pytest.raises(ValueError, match="15 observations"):
         GaussianProcess.from_state(state, x[:10], y[:10])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_few_observations_in_many_variables_call_none_of_them_irrelevant(seed):
+    rng = np.random.default_rng(seed)
+    x, centre = rng.uniform(-1.0, 1.0, (24, 20)), rng.uniform(-0.5, 0.5, 20)
+    model = GaussianProcess().fit(x, np.linalg.norm(x - centre, axis=1))
+    length_scales = 1.0 / np.sqrt(np.diagonal(model.precision))
+    # All variables matter alike. A normal prior of standard deviation sqrt(3) gives 18 to 71 here.
+    assert length_scales.max() < 12.0 * length_scales.min()
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_enough_observations_find_the_few_variables_that_matter(seed):
+    rng = np.random.default_rng(seed)
+    x, centre = rng.uniform(-1.0, 1.0, (60, 20)), rng.uniform(-0.5, 0.5, 3)
+    matter = rng.permutation(20)[:3]
+    model = GaussianProcess().fit(x, np.linalg.norm(x[:, matter] - centre, axis=1))
+    length_scales = 1.0 / np.sqrt(np.diagonal(model.precision))
+    others = np.delete(length_scales, matter)
+    assert others.min() > 3.0 * length_scales[matter].max()

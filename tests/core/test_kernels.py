@@ -2,6 +2,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.optimize import approx_fprime, check_grad
 
 from mobo_tuner.core.kernels import (
@@ -82,8 +83,32 @@ def test_bounds_and_prior_hold_the_defaults(name):
     bounds, prior = kernel.bounds(), kernel.prior()
     default = kernel.default_parameters()
     assert bounds.shape == (kernel.size, 2)
-    assert default.shape == prior.mean.shape == prior.stddev.shape == (kernel.size,)
+    assert default.shape == prior.location.shape == prior.scale.shape == (kernel.size,)
     assert ((bounds[:, 0] < default) & (default < bounds[:, 1])).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_penalty_is_that_of_students_t(name):
+    prior = make_kernel(name, 3).prior()
+    rng = np.random.default_rng(6)
+    oracle = stats.t(3.0, prior.location, prior.scale)
+    most = oracle.logpdf(prior.location).sum()
+    for width in (0.1, 1.0, 10.0):
+        parameters = prior.location + width * rng.normal(size=len(prior.location))
+        value, gradient = prior.penalty(parameters)
+        assert value == pytest.approx(most - oracle.logpdf(parameters).sum())
+        numeric = approx_fprime(parameters, lambda p: prior.penalty(p)[0], 1e-7)
+        np.testing.assert_allclose(gradient, numeric, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["rbf", "matern52", "rbf_full"])
+@pytest.mark.parametrize("d", [1, 6, 20])
+def test_random_points_are_as_alike_in_any_number_of_variables(name, d):
+    kernel = make_kernel(name, d)
+    x = np.random.default_rng(7).uniform(-1.0, 1.0, (200, d))
+    scaled = x @ kernel.factor(kernel.default_parameters())
+    squares = squared_distances(scaled, scaled)[np.triu_indices(len(x), 1)]
+    assert np.mean(squares) == pytest.approx(1.0 / 6.0, rel=0.1)
 
 
 def test_full_precision_from_a_given_matrix():

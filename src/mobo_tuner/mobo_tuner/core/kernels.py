@@ -33,22 +33,41 @@ KernelName = Literal["rbf_isotropic", "rbf", "rbf_full", "matern52"]
 SHORTEST_LENGTH_SCALE = 0.05
 LONGEST_LENGTH_SCALE = 100.0
 _LARGEST_TRIANGLE_ENTRY = 20.0
+_LENGTH_SCALE_SPREAD = 0.5  # of the logarithm
+_FREEDOM = 3.0
 
 
-class NormalPrior(NamedTuple):
-    """Independent normal priors of parameters: mean and standard deviation, each `(k,)`."""
+class ShapePrior(NamedTuple):
+    """Independent priors of shape parameters, Student's t of 3 degrees of freedom in each.
 
-    mean: FloatArray
-    stddev: FloatArray
+    A parameter stays near its location until the observations object; then the heavy tail lets it
+    go. Of many length-scales those of the few variables that matter less, or not at all, grow, and
+    the others stay alike. (Under a wide normal prior a handful of observations in many variables
+    calls most of these irrelevant, each time others, and is sure of it.)
 
-
-def log_length_scale_prior(d: int) -> tuple[float, float]:
-    """Mean and standard deviation of the log length-scale, which grows as the square root of d.
-
-    `[Hvarfner2024]_` Eq. (7), sqrt(2) + log(d) / 2 and sqrt(3) on the unit cube; here a variable
-    spans 2, which adds log(2) to the mean.
+    Attributes:
+        location: `(k,)`.
+        scale: `(k,)`.
     """
-    return float(np.sqrt(2.0) + 0.5 * np.log(d) + np.log(2.0)), float(np.sqrt(3.0))
+
+    location: FloatArray
+    scale: FloatArray
+
+    def penalty(self, parameters: FloatArray) -> tuple[float, FloatArray]:
+        """Minus the log density, up to a constant, and its gradient `(k,)`."""
+        deviation = (parameters - self.location) / self.scale
+        excess = _FREEDOM + deviation * deviation
+        power = 0.5 * (_FREEDOM + 1.0)
+        value = power * float(np.log(excess / _FREEDOM).sum())
+        return value, 2.0 * power * deviation / (excess * self.scale)
+
+
+def typical_log_length_scale(d: int) -> float:
+    """Where the prior of a log length-scale is centred: length-scales of 2 sqrt(d).
+
+    The distance of two random points grows as the square root of d, `[Hvarfner2024]_` section 4.
+    """
+    return float(np.log(2.0) + 0.5 * np.log(d))
 
 
 class Kernel(ABC):
@@ -87,7 +106,7 @@ class Kernel(ABC):
         """Lowest and highest allowed parameters, `(k, 2)`."""
 
     @abstractmethod
-    def prior(self) -> NormalPrior:
+    def prior(self) -> ShapePrior:
         """Weakly informative prior of the parameters."""
 
     def gradient(self, parameters: FloatArray, x: FloatArray, weights: FloatArray) -> FloatArray:
@@ -153,17 +172,16 @@ class RBF(Kernel):
         return np.asarray(-2.0 * np.exp(-2.0 * parameters) * np.diagonal(precision_gradient))
 
     def default_parameters(self) -> FloatArray:
-        """Length-scales of 2: half of each variable's range of [-1, 1] on either side."""
-        return np.full(self.size, np.log(2.0))
+        """Length-scales of 2 sqrt(d), see `typical_log_length_scale`."""
+        return np.full(self.size, typical_log_length_scale(self.d))
 
     def bounds(self) -> FloatArray:
         """Length-scales from 0.05 to 100."""
         return np.tile(np.log([SHORTEST_LENGTH_SCALE, LONGEST_LENGTH_SCALE]), (self.size, 1))
 
-    def prior(self) -> NormalPrior:
-        """Log-normal in each length-scale, see `log_length_scale_prior`."""
-        mean, stddev = log_length_scale_prior(self.d)
-        return NormalPrior(np.full(self.size, mean), np.full(self.size, stddev))
+    def prior(self) -> ShapePrior:
+        """Around `typical_log_length_scale`."""
+        return ShapePrior(self.default_parameters(), np.full(self.size, _LENGTH_SCALE_SPREAD))
 
 
 class RBFIsotropic(RBF):
@@ -267,9 +285,10 @@ class RBFFull(Kernel):
         return np.concatenate([triangle[self._rows, self._columns], diagonal])
 
     def default_parameters(self) -> FloatArray:
-        """Length-scales of 2, half of the precision from either part, and no correlation."""
-        triangle = np.where(self._rows == self._columns, np.sqrt(0.125), 0.0)
-        return np.concatenate([triangle, np.full(self.d, np.log(0.125))])
+        """Length-scales of 2 sqrt(d), half of the precision from either part, no correlation."""
+        half = 0.5 * np.exp(-2.0 * typical_log_length_scale(self.d))
+        triangle = np.where(self._rows == self._columns, np.sqrt(half), 0.0)
+        return np.concatenate([triangle, np.full(self.d, np.log(half))])
 
     def bounds(self) -> FloatArray:
         """The diagonal as for length-scales from 0.05 to 100, L within 20."""
@@ -279,13 +298,12 @@ class RBFFull(Kernel):
         limits = -2.0 * np.log([LONGEST_LENGTH_SCALE, SHORTEST_LENGTH_SCALE])
         return np.concatenate([triangle, np.tile(limits, (self.d, 1))])
 
-    def prior(self) -> NormalPrior:
-        """Standard normal in the triangle; the diagonal as inverse squares of length-scales."""
-        mean, stddev = log_length_scale_prior(self.d)
+    def prior(self) -> ShapePrior:
+        """Around zero in the triangle; the diagonal as inverse squares of length-scales."""
         m = len(self._rows)
-        return NormalPrior(
-            np.concatenate([np.zeros(m), np.full(self.d, -2.0 * mean)]),
-            np.concatenate([np.ones(m), np.full(self.d, 2.0 * stddev)]),
+        return ShapePrior(
+            np.concatenate([np.zeros(m), np.full(self.d, -2.0 * typical_log_length_scale(self.d))]),
+            np.concatenate([np.ones(m), np.full(self.d, 2.0 * _LENGTH_SCALE_SPREAD)]),
         )
 
 

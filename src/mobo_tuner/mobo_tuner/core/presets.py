@@ -54,7 +54,7 @@ class OptimizerSettings:
     suggestion_seconds: float | None = None
     refit_every: int = 0
     kernel: KernelName = "matern52"
-    mean: MeanName | float = "data"
+    mean: MeanName | float = "auto"
     noise: Literal["learned"] | float = "learned"
     training: TrainingName = "lbfgs"
     transform: TransformName = "none"

@@ -51,9 +51,9 @@ class NegativeLogPosterior:
     ) -> None:
         self.kernel, self.x, self.z, self.extra, self.weak_prior = kernel, x, z, extra, weak_prior
         self.log_mean_square = float(np.log(max(float(np.mean(z * z)), 1e-6)))
-        shape = kernel.prior()
-        self._prior_mean = np.append(shape.mean, [self.log_mean_square, _NOISE_PRIOR[0]])
-        self._prior_stddev = np.append(shape.stddev, [_VARIANCE_PRIOR_STDDEV, _NOISE_PRIOR[1]])
+        self._shape_prior = kernel.prior()
+        self._prior_mean = np.array([self.log_mean_square, _NOISE_PRIOR[0]])
+        self._prior_stddev = np.array([_VARIANCE_PRIOR_STDDEV, _NOISE_PRIOR[1]])
 
     def __call__(self, parameters: FloatArray) -> tuple[float, FloatArray]:
         """Value and gradient `(k + 2,)`; O(n^3 + n^2 d)."""
@@ -83,9 +83,11 @@ class NegativeLogPosterior:
         )
         gradient[-1] = 0.5 * noise * float((inverse_diagonal - weights * weights).sum())
         if self.weak_prior:
-            deviation = (parameters - self._prior_mean) / self._prior_stddev
-            value += 0.5 * float(deviation @ deviation)
-            gradient += deviation / self._prior_stddev
+            penalty, by_shape = self._shape_prior.penalty(shape)
+            deviation = (parameters[-2:] - self._prior_mean) / self._prior_stddev
+            value += penalty + 0.5 * float(deviation @ deviation)
+            gradient[:-2] += by_shape
+            gradient[-2:] += deviation / self._prior_stddev
         return value / n, gradient / n
 
     def _upper_triangles(self, shape: FloatArray, variance: float) -> tuple[FloatArray, FloatArray]:
