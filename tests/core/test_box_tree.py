@@ -1,4 +1,4 @@
-"""Compilation where nothing can be cached; the tree itself is tested through the hypervolume."""
+"""Packing, and compilation where nothing can be cached; the rest is tested through the hypervolume."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numba
+import numpy as np
 import pytest
 
 from mobo_tuner.core import box_tree
+from mobo_tuner.core.hypervolume import BoxDecomposition
 
 
 def doubled(value: float) -> float:
@@ -29,3 +31,17 @@ def test_without_a_place_for_the_cache(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(numba, "njit", no_locator)
     assert box_tree.compiled(doubled)(21.0) == 42.0
+
+
+@pytest.mark.parametrize("n_objectives", [1, 2, 5])
+def test_a_packed_tree_has_neither_dead_ends_nor_single_ways(n_objectives: int) -> None:
+    points = np.random.default_rng(n_objectives).random((120, n_objectives))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    for n in (1, 2, 120):
+        decomposition = BoxDecomposition(np.full(n_objectives, 1.1), points[:n])
+        tree, n_nodes = decomposition._tree, decomposition._n_nodes
+        n_boxes = box_tree.count_boxes(tree, n_nodes)
+        inner = tree.first_child[1:n_nodes] != box_tree.LEAF
+        assert n_boxes[0] == decomposition.n_boxes == np.count_nonzero(~inner)
+        assert (n_boxes > 0).all()
+        assert (tree.n_children[1:n_nodes][inner] >= 2).all()

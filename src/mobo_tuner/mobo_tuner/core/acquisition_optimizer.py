@@ -8,8 +8,6 @@ region it is zero, and it has many separate peaks. `ParticleSwarm` is what the p
    pagmo", Journal of Open Source Software 5, 2338 (2020).
 .. [Roussel2021] R. Roussel, A. Hanuka, A. Edelen, "Multiobjective Bayesian optimization for online
    accelerator tuning", Phys. Rev. Accel. Beams 24, 062801 (2021).
-.. [Igel2003] C. Igel, M. Huesken, "Empirical evaluation of the improved Rprop learning algorithms",
-   Neurocomputing 50, 105-123 (2003).
 """
 
 from __future__ import annotations
@@ -22,14 +20,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize
 from scipy.stats import qmc
 
 from mobo_tuner.core.acquisition import AcquisitionFunction
+from mobo_tuner.core.ascent import climb_by_curvature, climb_by_signs
 from mobo_tuner.core.pareto import FloatArray
 
-_CHUNK = 64
-_WORSE_THAN_ANY_START = 1e4
+_CHUNK = 128
 
 
 @dataclass(frozen=True)
@@ -145,9 +142,8 @@ class MultiStart(Maximizer):
     """Gradient ascent from many starts that are far from each other.
 
     The best points by value alone all lie in one basin. Therefore the screened points are thinned
-    out before a few steps of all of them together (adaptive steps along the sign of the gradient
-    `[Igel2003]_`, so that scales do not matter), and thinned out again before the best few are
-    finished by L-BFGS-B, on the logarithm of the acquisition function.
+    out before a few common steps along the signs of their gradients, and thinned out again before
+    the best ones climb to their maxima, on the logarithm of the acquisition function.
 
     Attributes:
         screened: quasi-random points over the whole box, rounded up to a power of two.
@@ -160,8 +156,10 @@ class MultiStart(Maximizer):
         far_apart: smallest distance in the largest component.
         near_apart: smallest distance in the largest component.
         steps: common steps of all starts.
-        finished: starts that L-BFGS-B finishes.
-        iterations: of each L-BFGS-B.
+        finished: starts that climb on, `near_apart` from each other.
+        behind: how far the logarithm of a start may lie behind the best one's to climb on.
+        evaluations: most of each start that climbs on.
+        tolerance: of the logarithm at a maximum.
     """
 
     screened: int = 512
@@ -172,9 +170,11 @@ class MultiStart(Maximizer):
     near_starts: int = 32
     far_apart: float = 0.5
     near_apart: float = 0.1
-    steps: int = 10
-    finished: int = 3
-    iterations: int = 30
+    steps: int = 6
+    finished: int = 8
+    behind: float = 0.1
+    evaluations: int = 30
+    tolerance: float = 1e-5
 
     def _explore(self, search: _Search, seeds: FloatArray, rng: np.random.Generator) -> None:
         d = search.n_variables
@@ -190,46 +190,11 @@ class MultiStart(Maximizer):
         x = np.vstack([far, x])
         if len(x) == 0:
             return
-        best, values = self._climb_together(search, x)
+        best, values = climb_by_signs(search.values_with_gradient, x, self.steps)
         best, values = _spread_out(best, values, self.finished, self.near_apart)
-        for start, value in zip(best, values, strict=True):
-            self._finish(search, start, value)
-
-    def _climb_together(self, search: _Search, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Step all starts along the signs of their gradients; return each one's best and its value.
-
-        A component's step grows while its sign stays and shrinks when it turns.
-        """
-        best, best_value = x.copy(), np.full(len(x), -np.inf)
-        step = np.full(x.shape, 0.05)
-        last_sign = np.zeros_like(x)
-        for _ in range(self.steps + 1):
-            value, gradient = search.values_with_gradient(x)
-            better = value > best_value
-            best[better], best_value[better] = x[better], value[better]
-            sign = np.sign(gradient)
-            turned = sign * last_sign
-            step = np.where(turned > 0.0, 1.4 * step, np.where(turned < 0.0, 0.4 * step, step))
-            step = np.clip(step, 1e-6, 0.4)
-            x = np.clip(x + sign * step, -1.0, 1.0)
-            last_sign = np.where(turned < 0.0, 0.0, sign)
-        return best, best_value
-
-    def _finish(self, search: _Search, start: FloatArray, start_value: float) -> None:
-        def descend(x: FloatArray) -> tuple[float, FloatArray]:
-            value, gradient = search.values_with_gradient(x[None])
-            if np.isneginf(value[0]):  # a finite wall, from which the line search turns back
-                return _WORSE_THAN_ANY_START, np.zeros_like(x)
-            return start_value - value[0], -gradient[0]
-
-        minimize(
-            descend,
-            start,
-            jac=True,
-            method="L-BFGS-B",
-            bounds=[(-1.0, 1.0)] * len(start),
-            options={"maxiter": self.iterations, "maxfun": self.iterations + 10},
-        )
+        best = best[values >= values.max(initial=-np.inf) - self.behind]
+        if len(best):
+            climb_by_curvature(search.values_with_gradient, best, self.evaluations, self.tolerance)
 
 
 class _OutOfTimeError(Exception):

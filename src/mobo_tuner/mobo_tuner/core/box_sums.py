@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import erfcx
 
 from mobo_tuner.core.box_tree import LEAF, BoxTree, compiled
 from mobo_tuner.core.pareto import FloatArray
@@ -27,10 +28,11 @@ from mobo_tuner.core.pareto import FloatArray
 _HALF_NODES, _HALF_WEIGHTS = np.polynomial.legendre.leggauss(6)
 _QUADRATURE_NODES = 0.5 * (_HALF_NODES + 1.0)
 _QUADRATURE_WEIGHTS = 0.5 * _HALF_WEIGHTS
-_SQRT_HALF = math.sqrt(0.5)
 _DENSITY_AT_ZERO = 1.0 / math.sqrt(2.0 * math.pi)
-_TAIL_FROM = 5.0
 _UNDERFLOW_FROM = 39.0
+_CERTAIN_FROM = 9.0  # beyond it the other tail is lost to rounding
+_CELLS = 8  # of the ratios' table, in a unit
+_DEGREE = 7
 _ROOT: Any = np.uint64(0)  # the type of the other nodes, so that `_box` is compiled once
 _SMALLEST_STDDEV = 1e-250  # below it a prediction counts as certain: z would overflow
 
@@ -38,29 +40,56 @@ _SMALLEST_STDDEV = 1e-250  # below it a prediction counts as certain: z would ov
 # --- one-dimensional integrals --------------------------------------------------------------------
 
 
+def _table_of_ratios() -> FloatArray:
+    """Polynomials of the ratios Q / phi and (phi - x Q) / phi over cells of x from 0 to 39.
+
+    Interpolated at Chebyshev nodes. The second ratio cancels for large x and is there taken from
+    the continued fraction Q / phi = 1 / (x + 1 / (x + 2 / (x + ...))).
+
+    Returns:
+        `(cells, _DEGREE + 1, 2)`, coefficients of the powers of the distance to the cell's middle,
+        highest first.
+    """
+    n_cells = int(_UNDERFLOW_FROM) * _CELLS
+    nodes = np.polynomial.chebyshev.chebpts1(_DEGREE + 1) * (0.5 / _CELLS)
+    x = (np.arange(n_cells)[:, None] + 0.5) / _CELLS + nodes
+    mills = math.sqrt(0.5 * math.pi) * erfcx(x * math.sqrt(0.5))
+    fraction = x.copy()
+    for k in range(60, 1, -1):
+        fraction = x + k / fraction
+    shortfall = np.where(x < 4.0, 1.0 - x * mills, mills / fraction)
+    values = np.stack([mills, shortfall], axis=2)
+    table: FloatArray = np.linalg.solve(np.vander(nodes), values)
+    return table
+
+
+_RATIOS = _table_of_ratios()
+
+
 @compiled
 def _tail(x: float) -> tuple[float, float, float]:
     """Return integral_x^inf (w - x) phi(w) dw, Q(x) = integral_x^inf phi and phi(x), for x >= 0.
 
-    Relative errors stay below 1e-13: the closed form phi - x Q cancels for large x and gives way to
-    the continued fraction Q = phi / (x + 1/(x + 2/(x + ...))).
+    Relative errors stay below 1e-13.
     """
-    if x > _UNDERFLOW_FROM:
+    if x >= _UNDERFLOW_FROM:
         return 0.0, 0.0, 0.0
     density = _DENSITY_AT_ZERO * math.exp(-0.5 * x * x)
-    if x < _TAIL_FROM:
-        mass = 0.5 * math.erfc(x * _SQRT_HALF)
-        return density - x * mass, mass, density
-    fraction = x
-    for k in range(int(6.0 + 85.0 / x), 1, -1):
-        fraction = x + k / fraction
-    mass = density / (x + 1.0 / fraction)
-    return mass / fraction, mass, density
+    cell = int(x * _CELLS)
+    step = x - (cell + 0.5) / _CELLS
+    mass = _RATIOS[cell, 0, 0]
+    shortfall = _RATIOS[cell, 0, 1]
+    for k in range(1, _DEGREE + 1):
+        mass = mass * step + _RATIOS[cell, k, 0]
+        shortfall = shortfall * step + _RATIOS[cell, k, 1]
+    return density * shortfall, density * mass, density
 
 
 @compiled
 def _expected_shortfall(z: float) -> tuple[float, float, float]:
     """Return E[max(z - w, 0)], Phi(z) and phi(z) for a standard normal w."""
+    if z > _CERTAIN_FROM:
+        return z, 1.0, 0.0
     shortfall, mass, density = _tail(abs(z))
     if z < 0.0:
         return shortfall, mass, density
@@ -136,10 +165,11 @@ def _fill_tables(
                 if with_slopes and values[i, j] > 0.0:
                     slopes[i, j, 0] = -1.0
             continue
-        z_floor = (floor[j] - mean[j]) / stddev[j]
+        precision = 1.0 / stddev[j]
+        z_floor = (floor[j] - mean[j]) * precision
         for i in range(n_levels):
             values[i, j] = 0.0
-            z = (levels[i, j] - mean[j]) / stddev[j]
+            z = (levels[i, j] - mean[j]) * precision
             if z <= z_floor or z <= -_UNDERFLOW_FROM or z_floor >= _UNDERFLOW_FROM:
                 continue
             if z_floor <= -_UNDERFLOW_FROM:
@@ -171,7 +201,7 @@ def _box(
     for j in range(n_objectives):
         before[j] = product
         product *= values[tree.upper[node, j], j] - values[tree.lower[node, j], j]
-    if len(slopes) == 0:
+    if len(slopes) == 0 or product == 0.0:
         return product
     after = 1.0
     for j in range(n_objectives - 1, -1, -1):
@@ -181,6 +211,15 @@ def _box(
         gradient[j, 0] += others * (slopes[above, j, 0] - slopes[below, j, 0])
         gradient[j, 1] += others * (slopes[above, j, 1] - slopes[below, j, 1])
         after *= values[above, j] - values[below, j]
+    return product
+
+
+@compiled
+def _bound(tree: BoxTree, values: FloatArray, node: int) -> float:
+    """Return prod_j G_j(u_j) at the top of a branch."""
+    product = 1.0
+    for j in range(values.shape[1]):
+        product *= values[tree.upper[node, j], j]
     return product
 
 
@@ -210,39 +249,33 @@ def _sum_over_boxes(
     """
     n_objectives = values.shape[1]
     before = np.empty(n_objectives)
-    bound = 1.0
     for j in range(n_objectives):
-        bound *= values[j, j]
         gradient[j, 0] = gradient[j, 1] = 0.0
     if tree.first_child[0] == LEAF:
         return _box(tree, values, slopes, _ROOT, before, gradient)
     stack[0] = 0
-    bounds[0] = bound
+    bounds[0] = _bound(tree, values, _ROOT)
     size = 1
     total = 0.0
     neglected = 0.0
     while size > 0:
         size -= 1
-        node = stack[size]
-        bound = bounds[size]
-        if neglected + bound <= tolerance * total:
-            neglected += bound
+        if neglected + bounds[size] <= tolerance * total:
+            neglected += bounds[size]
             continue
-        first = tree.first_child[node]
-        for child in range(first, first + tree.n_children[node]):
+        first = tree.first_child[stack[size]]
+        for child in range(first, first + tree.n_children[stack[size]]):
             axis = tree.axis[child]
-            factor = values[tree.upper[child, axis], axis]
-            if factor <= 0.0:
+            if values[tree.upper[child, axis], axis] <= 0.0:
                 continue
-            child_bound = bound * (factor / values[tree.upper[node, axis], axis])
-            if tree.first_child[child] != LEAF:
-                stack[size] = child
-                bounds[size] = child_bound
-                size += 1
-            elif neglected + child_bound <= tolerance * total:
-                neglected += child_bound
-            else:
+            if tree.first_child[child] == LEAF:
                 total += _box(tree, values, slopes, child, before, gradient)
+            else:
+                bound = _bound(tree, values, child)
+                if bound > 0.0:
+                    stack[size] = child
+                    bounds[size] = bound
+                    size += 1
     return total
 
 

@@ -5,7 +5,8 @@ The region below the reference point that no point of the front dominates is the
 `[Lacour2017]_`. Adding a point y replaces every u with y < u by up to P children, each equal to its
 parent in all but one objective, where it takes the component of y. The history of these splits is
 kept as a tree: the cone of a child lies inside that of its parent, so that whole branches are
-passed over exactly, both when a point is added and when the boxes are summed.
+passed over exactly, both when a point is added and when the boxes are summed. Most nodes of the
+history serve nothing; `pack` leaves them out, which makes sums several times faster.
 
 Nothing but indices is stored. Row i of `levels` `(k, P)` is a point: rows 0 .. P-1 bound the
 objectives at the reference point, row P is minus infinity, the points of the front follow. Box b
@@ -53,9 +54,11 @@ class BoxTree(NamedTuple):
     Attributes:
         upper: `(nodes, P)`, rows of `levels` that give the upper corners.
         lower: `(nodes, P)`, rows of `levels` that give the lower corners; used in leaves.
-        axis: `(nodes,)`, the one objective in which a node differs from its parent.
-        first_child: `(nodes,)`, the children are contiguous; `LEAF` marks a box.
-        n_children: `(nodes,)`, 1 to P for an inner node.
+        axis: `(nodes,)`, an objective in which a node differs from its parent, the one to look at
+            first.
+        first_child: `(nodes,)`, the children are contiguous and come after their parent; `LEAF`
+            marks a box.
+        n_children: `(nodes,)`, 0 to P for an inner node; with 0 it is a dead end.
     """
 
     upper: IndexArray
@@ -80,6 +83,7 @@ def find_leaves(tree: BoxTree, levels: FloatArray, point: FloatArray) -> NDArray
     Returns:
         `(h,)`, their nodes.
     """
+    n_objectives = levels.shape[1]
     stack = np.empty(1024, np.int32)
     found = np.empty(1024, np.int32)
     stack[0] = 0
@@ -99,7 +103,12 @@ def find_leaves(tree: BoxTree, levels: FloatArray, point: FloatArray) -> NDArray
             stack = _resized(stack, 2 * len(stack))
         for child in range(first, first + tree.n_children[node]):
             axis = tree.axis[child]
-            if point[axis] < levels[tree.upper[child, axis], axis]:
+            inside = point[axis] < levels[tree.upper[child, axis], axis]
+            for j in range(n_objectives if inside else 0):
+                if point[j] >= levels[tree.upper[child, j], j]:
+                    inside = False
+                    break
+            if inside:
                 stack[size] = child
                 size += 1
     return _resized(found, n_found)
@@ -165,8 +174,47 @@ def _set_lower_corner(tree: BoxTree, levels: FloatArray, node: int) -> None:
 
 
 @compiled
-def pack(tree: BoxTree, packed: BoxTree, n_levels: int) -> None:
-    """Copy the tree into `packed` in the order of a sum's visits, which is kind to caches."""
+def count_boxes(tree: BoxTree, n_nodes: int) -> NDArray[np.int32]:
+    """Return how many boxes there are below each node `(n_nodes,)`, itself included."""
+    n_boxes = np.zeros(n_nodes, np.int32)
+    for node in range(n_nodes - 1, -1, -1):
+        first = tree.first_child[node]
+        if first == LEAF:
+            n_boxes[node] = 1
+        else:
+            for child in range(first, first + tree.n_children[node]):
+                n_boxes[node] += n_boxes[child]
+    return n_boxes
+
+
+@compiled
+def _skip_single_ways(tree: BoxTree, n_boxes: NDArray[np.int32], node: np.int64) -> np.int64:
+    """Descend from a node with boxes below it to where the ways to them part, or to the only box."""
+    while tree.first_child[node] != LEAF:
+        child = np.int64(tree.first_child[node])
+        while n_boxes[child] == 0:
+            child += 1
+        if n_boxes[child] < n_boxes[node]:
+            break
+        node = child
+    return node
+
+
+@compiled
+def pack(tree: BoxTree, n_boxes: NDArray[np.int32], packed: BoxTree, n_levels: int) -> int:
+    """Copy the tree into `packed`, without dead ends and without nodes with a single way on.
+
+    The order is that of a sum's visits, which is kind to caches.
+
+    Args:
+        tree: with a root that is no box itself.
+        n_boxes: from `count_boxes`.
+        packed: as the tree when it is empty, with room for as many nodes.
+        n_levels: rows of the levels in use.
+
+    Returns:
+        Nodes of `packed` in use.
+    """
     n_objectives = tree.upper.shape[1]
     stack = np.zeros((n_levels * n_objectives, 2), np.int32)
     size = 1
@@ -175,18 +223,20 @@ def pack(tree: BoxTree, packed: BoxTree, n_levels: int) -> None:
         size -= 1
         node = stack[size, 0]
         place = stack[size, 1]
-        for j in range(n_objectives):
-            packed.upper[place, j] = tree.upper[node, j]
-            packed.lower[place, j] = tree.lower[node, j]
-        packed.axis[place] = tree.axis[node]
-        first = tree.first_child[node]
-        if first == LEAF:
-            packed.first_child[place] = LEAF
-            continue
         packed.first_child[place] = n_nodes
-        packed.n_children[place] = tree.n_children[node]
-        for i in range(tree.n_children[node]):
-            stack[size, 0] = first + i
-            stack[size, 1] = n_nodes
+        first = tree.first_child[node]
+        for child in range(first, first + tree.n_children[node]):
+            if n_boxes[child] == 0:
+                continue
+            kept = _skip_single_ways(tree, n_boxes, np.int64(child))
+            for j in range(n_objectives):
+                packed.upper[n_nodes, j] = tree.upper[kept, j]
+                packed.lower[n_nodes, j] = tree.lower[kept, j]
+            packed.axis[n_nodes] = tree.axis[kept]
+            if tree.first_child[kept] != LEAF:
+                stack[size, 0] = kept
+                stack[size, 1] = n_nodes
+                size += 1
             n_nodes += 1
-            size += 1
+        packed.n_children[place] = n_nodes - packed.first_child[place]
+    return n_nodes

@@ -93,14 +93,13 @@ class BoxDecomposition:
         self._n_levels = n_objectives + 1
         self._tree = _empty_tree(n_objectives, self._index_type(), _INITIAL_NODES)
         self._n_nodes = 1
+        self._n_packed = 1
         self._n_boxes = 1
         self._hypervolume = 0.0
         volumes = np.log(self.reference - front).sum(axis=1)
         for point in front[np.argsort(-volumes, kind="stable")]:
             self.add(point)
-        packed = _empty_tree(n_objectives, self._index_type(), self._n_nodes)
-        box_tree.pack(self._tree, packed, self._n_levels)
-        self._tree = packed
+        self._pack()
 
     @property
     def hypervolume(self) -> float:
@@ -149,6 +148,8 @@ class BoxDecomposition:
         self._n_nodes = n_nodes
         self._n_levels += 1
         self._hypervolume += gained
+        if n_nodes > max(_INITIAL_NODES, 2 * self._n_packed):
+            self._pack()
         return gained
 
     def improvement(self, candidates: ArrayLike, lower: ArrayLike | None = None) -> FloatArray:
@@ -257,12 +258,21 @@ class BoxDecomposition:
     def _index_type(self) -> type[np.unsignedinteger[Any]]:
         return np.uint16 if len(self._levels) <= _MOST_NARROW_LEVELS else np.uint32
 
+    def _pack(self) -> None:
+        """Leave out nodes that do not help: far more than half of them in a tree of many points."""
+        if self._n_nodes > 1:
+            packed = _empty_tree(len(self.reference), self._index_type(), self._n_nodes)
+            n_boxes = box_tree.count_boxes(self._tree, self._n_nodes)
+            self._n_nodes = box_tree.pack(self._tree, n_boxes, packed, self._n_levels)
+            self._tree = packed
+        self._n_packed = self._n_nodes
+
     def _reserve(self, n_new_nodes: int) -> None:
         """Make room for one more point and so many nodes, at least doubling what is enlarged."""
         if self._n_levels == len(self._levels):
             self._levels = _enlarged(self._levels, 2 * self._n_levels, -np.inf)
         needed = self._n_nodes + n_new_nodes
-        capacity = len(self._tree.axis)
+        capacity = len(self._tree.first_child)
         index_type = self._index_type()
         if needed <= capacity and self._tree.upper.dtype == index_type:
             return

@@ -86,6 +86,11 @@ class Models:
         return self._held > 0
 
     @property
+    def trained(self) -> int:
+        """Number of valid evaluations at the last training."""
+        return self._trained
+
+    @property
     def objectives(self) -> list[GaussianProcess]:
         """Models of the minimised objectives, in the problem's order."""
         return [self._processes[name] for name in self._problem.objective_names]

@@ -27,6 +27,7 @@ from mobo_tuner.core.dataset import Dataset, Evaluation, Measured
 from mobo_tuner.core.focus import around, choose_on_front
 from mobo_tuner.core.hypervolume import BoxDecomposition
 from mobo_tuner.core.initial_design import initial_design
+from mobo_tuner.core.linear_algebra import single_blas_thread
 from mobo_tuner.core.models import Models, PriorMean
 from mobo_tuner.core.pareto import is_below, is_nondominated
 from mobo_tuner.core.presets import OptimizerSettings, make_settings
@@ -85,6 +86,7 @@ class Optimizer:
         self.dataset = Dataset(problem)
         self._models = Models(problem, self.settings, seed, prior_means)
         self._boxes = BoxDecomposition(problem.reference_point)
+        self._packed = 0  # number of valid evaluations when the boxes were last built anew
         self._hypervolume = 0.0
         self._last_source: Source = "initial"
 
@@ -144,7 +146,8 @@ class Optimizer:
             self._last_source = "initial"
             return self.problem.denormalize(self._initial_point(told))
         self._last_source = "model"
-        return self.problem.denormalize(self._candidate())
+        with single_blas_thread():
+            return self.problem.denormalize(self._candidate())
 
     def focus(
         self,
@@ -323,14 +326,28 @@ class Optimizer:
             )
         lower = self.problem.truncation_lower
         truncation = (lower, self.problem.reference_point) if np.isfinite(lower).any() else None
-        self._boxes = BoxDecomposition(
-            self.problem.reference_point, self.dataset.objectives[self.dataset.feasible]
-        )
+        self._build_boxes()
         if settings.acquisition == "ehvi":
             return ExpectedHypervolumeImprovement(models, self._boxes, truncation)
         return UpperConfidenceBoundHypervolumeImprovement(
             models, self._boxes, settings.beta, truncation
         )
+
+    def _build_boxes(self) -> None:
+        """Build the boxes anew when the models were trained.
+
+        In between they grow, which is slower to sum over but spares the time. What they are depends
+        on the data and the last training only, so that a restored optimiser has the same.
+        """
+        trained = self._models.trained
+        if self._packed == trained:
+            return
+        feasible = np.flatnonzero(self.dataset.feasible)
+        rows = feasible[feasible <= np.flatnonzero(self.dataset.valid)[trained - 1]]
+        self._boxes = BoxDecomposition(self.problem.reference_point, self.dataset.objectives[rows])
+        for row in feasible[len(rows) :]:
+            self._boxes.add(self.dataset.objectives[row])
+        self._packed = trained
 
     def _precision(self) -> ArrayLike:
         """Precision matrix of proximal biasing, or what stands for it."""
