@@ -175,6 +175,8 @@ class MachineMapping:
         rate: of the steps of a move [Hz].
         settle_time: for which all must stay settled before a measurement counts [s].
         settle_timeout: from the last step of a move until then [s].
+        follow_moved: whether a move may start at the readback of a variable that is not where it
+            was set; else it is refused.
     """
 
     file: str
@@ -187,6 +189,7 @@ class MachineMapping:
     rate: float
     settle_time: float
     settle_timeout: float
+    follow_moved: bool
 
 
 def load_mapping(path: str | Path) -> MachineMapping:
@@ -224,6 +227,7 @@ def parse_mapping(content: object, file: str) -> MachineMapping:
         shots=shots,
         rate=move.number("rate", 10.0, above=0.0, maximum=100.0),
         settle_time=move.number("settle_time", 0.5, minimum=0.0, maximum=3600.0),
+        follow_moved=move.choice("if_moved", "refuse", ("refuse", "follow")) == "follow",
         settle_timeout=move.number("timeout", 30.0, above=0.0, maximum=86_400.0),
     )
     for section in (move, measure, root):

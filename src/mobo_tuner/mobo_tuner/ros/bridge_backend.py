@@ -82,18 +82,10 @@ class BridgeBackend:
         trouble = self._trouble()
         if trouble is not None:
             return trouble
-        for name, variable in self._mapping.variables.items():
-            position = self._readbacks[name].latest
-            if not (
-                variable.minimum - variable.tolerance
-                <= position
-                <= variable.maximum + variable.tolerance
-            ):
-                return Failure(
-                    _Result.INTERLOCK,
-                    f"{name} reads {position:g} {variable.unit}, which is outside its limits, "
-                    f"{variable.minimum:g} to {variable.maximum:g}: bring it back by hand",
-                )
+        for name in self._mapping.variables:
+            displaced = self._displaced(name)
+            if displaced:
+                return Failure(_Result.INTERLOCK, displaced)
         problems = [output.problem for output in self._outputs] + self._measuring.problems()
         for problem in problems:
             if problem:
@@ -143,7 +135,7 @@ class BridgeBackend:
             if failure is None and not abs(value - self._setpoint[name]) <= variable.tolerance:
                 failure = Failure(
                     _Result.INVALID_MEASUREMENT,
-                    f"{name} was {value:g} {variable.unit} while measured, more than "
+                    f"{name} was {_quantity(value, variable.unit)} while measured, more than "
                     f"{variable.tolerance:g} from its set-point {self._setpoint[name]:g}",
                 )
         return Measurement(readbacks, measured.diagnostics, measured.shots, failure)
@@ -210,15 +202,36 @@ class BridgeBackend:
         return None
 
     def _start(self) -> dict[str, float]:
-        """Where a ramp starts: at the last set-point, or at the readback if the machine is not there."""
+        """Where a ramp starts: at the last set-point, or at the readback if that is far from it."""
         start = {}
         for name, variable in self._mapping.variables.items():
             position = self._readbacks[name].latest
             last = self._setpoint.get(name, position)
-            if abs(last - position) > variable.tolerance:
-                last = position
+            if abs(last - position) > variable.tolerance + variable.max_step:
+                last = position  # `refusal` has let it pass
             start[name] = min(max(last, variable.minimum), variable.maximum)
         return start
+
+    def _displaced(self, name: str) -> str:
+        """Why a move must not start where a variable is, in a few words; empty where it may.
+
+        If the readback is not where the variable was set, then either somebody moved it or the
+        readback lies, and a ramp would start with a jump in one of the two cases.
+        """
+        variable, position = self._mapping.variables[name], self._readbacks[name].latest
+        reads = f"{name} reads {_quantity(position, variable.unit)}"
+        low, high = variable.minimum - variable.tolerance, variable.maximum + variable.tolerance
+        if not low <= position <= high:
+            limits = _quantity(f"{variable.minimum:g} to {variable.maximum:g}", variable.unit)
+            return f"{reads}, which is outside its limits, {limits}: bring it back by hand"
+        last = self._setpoint.get(name, position)
+        reach = variable.tolerance + variable.max_step
+        if self._mapping.follow_moved or abs(position - last) <= reach:
+            return ""
+        return (
+            f"{reads}, but was set to {_quantity(last, variable.unit)}: bring it back, or restart "
+            "the bridge once it is clear which of the two is right"
+        )
 
     def _unsettled(self) -> str:
         """What is not settled yet, in a few words; empty where all is."""
@@ -227,7 +240,7 @@ class BridgeBackend:
             setpoint = self._setpoint[name]
             if not abs(readback - setpoint) <= variable.tolerance:
                 return (
-                    f"{name} reads {readback:g} {variable.unit}, which is not within "
+                    f"{name} reads {_quantity(readback, variable.unit)}, which is not within "
                     f"{variable.tolerance:g} of its set-point {setpoint:g}"
                 )
         for name, signal in self._settled.items():
@@ -273,3 +286,8 @@ class BridgeBackend:
             if await first_of(self._node, *futures, timeout=min(remaining, WATCH_PERIOD)):
                 break
         return future is not None and future.done()
+
+
+def _quantity(value: float | str, unit: str) -> str:
+    number = value if isinstance(value, str) else f"{value:g}"
+    return f"{number} {unit}" if unit else number

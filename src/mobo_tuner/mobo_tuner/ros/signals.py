@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rclpy.task import Future
 
-from mobo_tuner.bridge.mapping import Condition, Endpoint
+from mobo_tuner.bridge.mapping import Condition, Endpoint, Target
 from mobo_tuner.ros.calls import Call, CallError, check, create, load
 from mobo_tuner.ros.conversions import seconds
 from mobo_tuner.ros.interface_types import FieldError, check_readable, check_time, read
@@ -47,6 +47,7 @@ class Signal:
         self.latest = math.nan
         self.not_before = -math.inf  # stamps earlier than this do not count [s]
         self.listeners: list[Callable[[float], None]] = []
+        self.count_publishers: Callable[[], int] = lambda: 1  # of the topic
         self._clock = clock
         self._convert = convert
         self._heard = -math.inf  # when the latest value came, time.monotonic()
@@ -84,6 +85,9 @@ class Signal:
         """Why the latest value does not count, in a few words; empty where it does."""
         if not math.isfinite(self._heard):
             return f"the {self.endpoint.target} gave no value yet" + self.because
+        # What is published only when it changes never gets old, but its publisher may be gone.
+        if math.isinf(self.endpoint.stale_after) and self.count_publishers() == 0:
+            return f"the {self.endpoint.target} has no publisher"
         age = time.monotonic() - self._heard
         if age > self.endpoint.stale_after:
             return f"the {self.endpoint.target} gave no value for {age:.1f} s" + self.because
@@ -120,7 +124,7 @@ class Signals:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._by_topic: dict[tuple[Any, str], list[Signal]] = {}
+        self._subscriptions: dict[tuple[Target, str], tuple[Any, list[Signal]]] = {}
 
     def number(self, endpoint: Endpoint) -> Signal:
         """The signal of a number.
@@ -151,21 +155,23 @@ class Signals:
         message_type = load(endpoint)
         check_fields(endpoint, message_type)
         key = (endpoint.target, endpoint.qos)
-        if key in self._by_topic:
-            self._by_topic[key].append(signal)
-            return
-        signals = self._by_topic[key] = [signal]
+        if key not in self._subscriptions:
+            signals: list[Signal] = []
 
-        def accept(message: Any) -> None:
-            for each in signals:
-                each.accept(message)
+            def accept(message: Any) -> None:
+                for each in signals:
+                    each.accept(message)
 
-        create(
-            endpoint,
-            lambda: self._node.create_subscription(
-                message_type, endpoint.target.name, accept, _QOS[endpoint.qos]
-            ),
-        )
+            subscription = create(
+                endpoint,
+                lambda: self._node.create_subscription(
+                    message_type, endpoint.target.name, accept, _QOS[endpoint.qos]
+                ),
+            )
+            self._subscriptions[key] = (subscription, signals)
+        subscription, signals = self._subscriptions[key]
+        signals.append(signal)
+        signal.count_publishers = subscription.get_publisher_count
 
     def _poll(self, signal: Signal) -> None:
         call = Call(self._node, signal.endpoint)
