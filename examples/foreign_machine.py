@@ -42,7 +42,6 @@ FAULTS = (
     "unlit",  # the camera sees nothing: NaN
     "jammed",  # the camera's Trigger fails
     "slow",  # the camera takes its time
-    "no_camera",  # its services are gone
     "no_permit",  # nothing may move
 )
 
@@ -63,9 +62,9 @@ class ForeignMachine(Node):
         self.create_subscription(JointState, "supplies/command", self.command, 10)
         self.create_timer(PERIOD, self.step)
         self.create_timer(0.1, self.tell_permit)
-        self.camera_group = ReentrantCallbackGroup()
-        self.camera: list = []
-        self.switch_camera(on=True)
+        group = ReentrantCallbackGroup()  # so that looking keeps nobody from firing
+        self.create_service(Trigger, "camera/fire", self.fire, callback_group=group)
+        self.create_service(GetParameters, "camera/look", self.look, callback_group=group)
         description = f"one of {', '.join(FAULTS)}"
         self.declare_parameter("fault", "none", ParameterDescriptor(description=description))
         self.add_on_set_parameters_callback(self.set_fault)
@@ -120,20 +119,6 @@ class ForeignMachine(Node):
         ]
         return response
 
-    def switch_camera(self, *, on: bool) -> None:
-        """Offer the camera's services, or take them away."""
-        for service in self.camera:
-            self.destroy_service(service)
-        group = self.camera_group
-        self.camera = (
-            [
-                self.create_service(Trigger, "camera/fire", self.fire, callback_group=group),
-                self.create_service(GetParameters, "camera/look", self.look, callback_group=group),
-            ]
-            if on
-            else []
-        )
-
     def set_fault(self, parameters: list[Parameter]) -> SetParametersResult:
         """Begin to misbehave, or stop it."""
         for parameter in parameters:
@@ -141,8 +126,6 @@ class ForeignMachine(Node):
                 return SetParametersResult(successful=False, reason=f"not one of {FAULTS}")
             if parameter.name == "fault":
                 self.fault = parameter.value
-                if (self.fault != "no_camera") != bool(self.camera):
-                    self.switch_camera(on=self.fault != "no_camera")
         return SetParametersResult(successful=True)
 
 

@@ -141,12 +141,12 @@ class BridgeBackend:
         return Measurement(readbacks, measured.diagnostics, measured.shots, failure)
 
     def hold(self) -> None:
-        """Send nothing more; what lags behind its set-point is told to stay where it is read.
+        """Send nothing more; what lags behind amid a move is told to stay where it is read.
 
         The readback may lie, so that a set-point never goes back by more than its largest step.
         """
         held = dict(self._setpoint)
-        for name, last in self._setpoint.items():
+        for name, last in self._setpoint.items() if self._operation is not None else ():
             variable, signal = self._mapping.variables[name], self._readbacks[name]
             lag = last - signal.latest
             if not signal.problem and abs(lag) > variable.tolerance:

@@ -106,14 +106,14 @@ class Signal:
             self._fault = str(error)
             return False
         now = seconds(self._clock.now().to_msg())
-        if now - stamp > self.endpoint.stale_after:
-            self._fault = f"its stamp is {now - stamp:.1f} s old"
+        if stamp <= self._stamp:
+            self._fault = "its stamp does not advance"
             return False
         if stamp < self.not_before:
             self._fault = "its stamp is from before the measurement"
             return False
-        if stamp <= self._stamp:
-            self._fault = "its stamp does not advance"
+        if now - stamp > self.endpoint.stale_after:
+            self._fault = f"its stamp is {now - stamp:.1f} s old"
             return False
         self._stamp = stamp
         return True
