@@ -7,9 +7,10 @@ import reprlib
 from collections.abc import Mapping
 from typing import Any
 
+MAX_SHOWN = 60  # characters of a value that a message repeats
 _TOO_LARGE = 1e300
 _REPR = reprlib.Repr()  # limited in depth, too: a small file can hold a huge tree by aliases
-_REPR.maxstring = _REPR.maxother = _REPR.maxlong = 60
+_REPR.maxstring = _REPR.maxother = _REPR.maxlong = MAX_SHOWN
 _REPR.maxlevel = 2
 
 
@@ -45,7 +46,8 @@ class Section:
 
     def path(self, key: str) -> str:
         """How a key of this section is named in messages."""
-        return f"{self.where}{'' if self.where.endswith(': ') else '.'}{key}"
+        shown_key = key if key.isprintable() and len(key) <= MAX_SHOWN else shown(key)
+        return f"{self.where}{'' if self.where.endswith(': ') else '.'}{shown_key}"
 
     def error(self, key: str, allowed: str) -> MappingError:
         """The error of a key whose value is not allowed."""
@@ -137,7 +139,8 @@ class Section:
 
 def shown(value: object) -> str:
     """A value as messages repeat it: in one line, and not too long."""
-    return _REPR.repr(value)
+    text = _REPR.repr(value)
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
 
 
 def _is_number(value: object) -> bool:

@@ -26,6 +26,7 @@ _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/(msg|srv|action)/[A-Z][A-Za-z0-9]*")
 _INTEGER = re.compile(r"(?P<unsigned>u?)int(?P<bits>8|16|32|64)")
 _FLOATS = ("float", "double")
 _BOOLEAN = "boolean"
+_LARGEST_FLOAT32 = 3.4028234e38
 
 
 class FieldError(ValueError):
@@ -135,8 +136,9 @@ def _write(message: Any, steps: Sequence[Step], number: float, path: FieldPath) 
     if position is None:
         assert isinstance(rest[0], Selection)
         position = _append(items, message, slot, rest[0])
-    if isinstance(slot, Array) and position >= slot.size:
-        raise FieldError(f"{path} is beyond the array, which has {slot.size} elements")
+    size = slot.size if isinstance(slot, Array) else getattr(slot, "maximum_size", math.inf)
+    if position >= size:
+        raise FieldError(f"{path} is beyond the array, which has room for {size} elements")
     while len(items) <= position:
         items.append(_blank(slot.value_type))
     if rest[1:]:
@@ -230,6 +232,8 @@ def _encode(slot: Any, number: float, path: FieldPath | str) -> Any:
     if not math.isfinite(number):
         raise FieldError(f"{path} would be {number}, which is not finite")
     if slot.typename in _FLOATS:
+        if slot.typename == "float" and abs(number) > _LARGEST_FLOAT32:
+            raise FieldError(f"{path} would be {number:g}, which is too large for a float32")
         return float(number)
     match = _INTEGER.fullmatch(slot.typename)
     assert match is not None
@@ -255,6 +259,8 @@ def _build(slot: Any, value: Any, where: str) -> Any:
             raise FieldError(f"{where} has {size} elements; it is {_describe(slot)}")
         return [_build(slot.value_type, item, f"{where}[{n}]") for n, item in enumerate(value)]
     if isinstance(slot, AbstractString) and isinstance(value, str):
+        if len(value.encode()) > getattr(slot, "maximum_size", math.inf):
+            raise FieldError(f"{where} is longer than {slot.maximum_size} characters")
         return value
     if _is_boolean(slot) and isinstance(value, bool):
         return value
