@@ -14,6 +14,7 @@ PREFIX = Path(sys.prefix)
 EXECUTABLES = {
     ("mobo_tuner", "tuner"): ([], "'variables' is missing or empty"),
     ("mobo_tuner", "recorder"): ([], "bag_path"),
+    ("mobo_tuner", "machine_bridge"): ([], "the parameter mapping is empty"),
     ("mobo_tuner", "console"): (["-p", "evaluations:=-1"], "evaluations is -1"),
     ("awa_sim_node", "awa_sim"): (["-p", "model:=lcls"], "model is 'lcls'"),
 }

@@ -166,6 +166,10 @@ CONSOLE = (
     ),
 )
 
+MACHINE_BRIDGE = (
+    ParameterSpec("mapping", "", "the mapping file: which topic, service or action is what"),
+)
+
 _PROBLEM_DESCRIPTIONS = {
     ("variables", "min"): "lower bound of the search",
     ("variables", "max"): "upper bound of the search",
