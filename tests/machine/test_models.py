@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from awa_sim_node.machine import MODEL_NAMES, describe
+from awa_sim_node.machine import MODEL_NAMES, Mode, describe
 from awa_sim_node.machine.models import AwaModel, Model, ToyModel, create_model
 from awa_sim_node.surrogate import metadata
 
@@ -44,7 +44,10 @@ def test_awa_measures_the_objectives_and_more() -> None:
 @pytest.mark.parametrize("model", [AwaModel, ToyModel])
 def test_a_model_speaks_of_the_same_names_throughout(model: type[Model]) -> None:
     description = model.description
-    assert set(model.actuators) == {variable.name for variable in description.variables}
+    assert {variable.name for variable in description.variables} <= set(model.kinds)
+    assert set(model.ranges) <= set(model.kinds)
+    assert {name for image in model.images for name in image} <= set(model.noise)
+    assert set(model.modes) == set(Mode)
     assert set(model.noise) == {diagnostic.name for diagnostic in description.diagnostics}
     for variable in description.variables:
         assert variable.minimum <= variable.initial <= variable.maximum
