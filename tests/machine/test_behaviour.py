@@ -74,11 +74,13 @@ def test_single_parameters_override_the_mode() -> None:
 def test_equal_seeds_give_equal_runs(mode: Mode) -> None:
     def run(seed: int) -> list[dict[str, float]]:
         machine = SimulatedMachine("awa", mode, seed=seed)
+        shots: list[dict[str, float]] = []
         for k in range(3):
-            machine.start_evaluation({**machine.setpoint, "K1": 450.0 + 10.0 * k})
+            setpoint = {**machine.setpoint, "K1": 450.0 + 10.0 * k}
+            machine.start_evaluation(setpoint, None, lambda shot: shots.append(dict(shot.measured)))
             machine.step(700.0)
             machine.readbacks()
-        return [dict(shot.measured) for shot in machine.shots]
+        return shots
 
     assert repr(run(4)) == repr(run(4))
     if mode is not Mode.IDEAL:

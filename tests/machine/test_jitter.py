@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
@@ -40,9 +41,9 @@ def test_jitter_reaches_the_beam() -> None:
             "jitter_gradient": 0.002,
         },
     )
-    machine.start_evaluation(START, shots=SHOTS)
+    shots: list[Mapping[str, float]] = []
+    machine.start_evaluation(START, SHOTS, lambda shot: shots.append(shot.measured))
     machine.step(SHOTS + 1.0)
-    shots = [shot.measured for shot in machine.shots]
     assert len(shots) == SHOTS
     for name, mean, stddev in (
         ("phase_seen", 10.0, 0.5),

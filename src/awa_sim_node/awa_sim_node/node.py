@@ -1,192 +1,190 @@
-"""The simulated machine as a ROS node: it describes itself, and it evaluates set-points."""
+"""The simulated machine as a lifecycle node: configured it is there, activated it may move."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from typing import Any
 
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.action.server import ServerGoalHandle
+from builtin_interfaces.msg import Time
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
-from rclpy.task import Future
+from rclpy.qos import qos_profile_system_default
+from rosgraph_msgs.msg import Clock as ClockMessage
 
-from awa_sim_node.machine import SimulatedMachine
-from awa_sim_node.machine.diagnostics import Reading
-from awa_sim_node.machine.evaluation import Evaluation, Phase
-from awa_sim_node.parameters import AWA_SIM
-from mobo_msgs_py import msg
+from awa_sim_node.backend import SimulatedBackend
+from awa_sim_node.beam_topics import BeamTopics
+from awa_sim_node.devices import Devices
+from awa_sim_node.health import Health
+from awa_sim_node.machine import EvaluationResult, SimulatedMachine, behaviour_of, describe
+from awa_sim_node.machine.behaviour import Mode
+from awa_sim_node.parameters import AWA_SIM, behaviour_specs
 from mobo_msgs_py.action import EvaluateSetpoint
-from mobo_msgs_py.srv import DescribeMachine
-from mobo_tuner.ros.conversions import named_values, values_of
+from mobo_tuner.ros.machine_backend import Failure
+from mobo_tuner.ros.machine_server import MachineServer
 from mobo_tuner.ros.parameters import declare
-from mobo_tuner.ros.process import exit_process, run_node
-from mobo_tuner.ros.waiting import first_of
+from mobo_tuner.ros.process import StartError, exit_process, run_node
 
-FEEDBACK_PERIOD = 0.2  # [s] of wall time
-_PHASE_WORDS = {Phase.RAMP: "ramping", Phase.SETTLE: "settling", Phase.MEASURE: "measuring"}
-_Result = EvaluateSetpoint.Result
+HEALTH_PERIOD = 1.0  # [s]
+CLOCK_PERIOD = 0.05  # [s] of wall time
+_SUCCESS = TransitionCallbackReturn.SUCCESS
 
 
-class AwaSim:
-    """Serves `evaluate_setpoint` and `describe_machine` for one simulated machine.
+class AwaSim(LifecycleNode):
+    """Serves one simulated machine.
 
-    Wall time drives simulated time, `speed` times as fast, and only while something is to be done.
+    `configure` switches the machine on, `activate` allows motion, `deactivate` stops what moves,
+    `cleanup` switches it off. Every interface is there from the start and refuses what the state
+    does not allow.
     """
 
+    exit_code = None
+
     def __init__(self, executor: Executor) -> None:
-        """Declare the parameters and switch the machine on; nothing moves.
+        """Declare the parameters; with `autostart` the machine is on and may move, but does not.
 
         Raises:
             ValueError: a parameter is not allowed.
+            StartError: the machine could not be switched on.
         """
-        self.exit_code: int | None = None
-        self.node = Node("awa_sim")
+        super().__init__("awa_sim")
         try:
-            parameters = declare(self.node, AWA_SIM)
+            self._values = declare(self, AWA_SIM)
+            model, mode = str(self._values["model"]), str(self._values["mode"])
+            self._behaviour = declare(self, behaviour_specs(model, mode))
+            behaviour_of(model, Mode(mode)).changed(self._behaviour)
         except ValueError:
-            self.node.destroy_node()
+            self.destroy_node()
             raise
-        self._executor = executor
-        self._speed = float(parameters["speed"])
-        self._machine = SimulatedMachine(
-            str(parameters["model"]), str(parameters["mode"]), int(parameters["seed"])
+        description = describe(model)
+        self._speed = float(self._values["speed"])
+        self._backend = SimulatedBackend(self, description, self._speed, self._passing_time())
+        self._server = MachineServer(self, self._backend, executor)
+        self._devices = Devices(self, self._backend, self._server)
+        self._beam = BeamTopics(self, description, bool(self._values["publish_truth"]))
+        self._health = Health(self, self._backend)
+        self._last_free_shot = 0.0
+        self._backend.on_shot = self._beam.publish
+        self._backend.on_step = self._devices.publish_changes
+        self._backend.on_measured = self._measured
+        self._every(1.0 / float(self._values["stream_rate"]), self._stream)
+        self._every(HEALTH_PERIOD, self._health.publish)
+        if self._values["publish_clock"]:
+            self._began = time.time()
+            self._clock_publisher = self.create_publisher(
+                ClockMessage, "/clock", qos_profile_system_default
+            )
+            self._every(CLOCK_PERIOD, self._publish_clock)
+        if self._values["autostart"]:
+            self.trigger_configure()
+            self.trigger_activate()
+            if not self._backend.active:
+                self.destroy_node()
+                raise StartError("the machine could not be switched on; see above")
+
+    @property
+    def node(self) -> Node:
+        """The rclpy node: itself."""
+        return self
+
+    def on_configure(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Switch the machine on."""
+        values = self._values
+        machine = SimulatedMachine(
+            str(values["model"]), str(values["mode"]), int(values["seed"]), self._behaviour
         )
-        self._units = {v.name: v.unit for v in self._machine.description.variables}
-        self._interrupt: Future | None = None  # of the running evaluation; its result says why
-        self._stopping = False
-        self._service = self.node.create_service(
-            DescribeMachine, "describe_machine", self._describe
+        self._backend.connect(machine)
+        self._last_free_shot = 0.0
+        self.get_logger().info(
+            f"{self._backend.name}: configured, {machine.mode}, "
+            f"{self._speed:g} times as fast as real"
         )
-        self._server = ActionServer(
-            self.node,
-            EvaluateSetpoint,
-            "evaluate_setpoint",
-            execute_callback=self._execute,
-            goal_callback=lambda _: GoalResponse.ACCEPT,  # refused with a reason in `_execute`
-            cancel_callback=self._cancel,
-            result_timeout=10,
-        )
-        self._goal_id = b""
-        self.node.get_logger().info(
-            f"{self._machine.description.title}: ready, {self._speed:g} times as fast as real"
-        )
+        return _SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Allow motion."""
+        self._backend.activate()
+        self.get_logger().info(f"{self._backend.name}: ready")
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop what moves."""
+        self._halt("the machine's node was deactivated")
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Switch the machine off."""
+        self._backend.disconnect()
+        return _SUCCESS
+
+    def on_shutdown(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Stop what moves, for good."""
+        self._halt("the machine's node was shut down")
+        self._backend.disconnect()
+        return _SUCCESS
+
+    def on_error(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Switch the machine off after a transition that failed."""
+        self._halt("the machine's node failed")
+        self._backend.disconnect()
+        return _SUCCESS
 
     async def stop(self) -> None:
         """Stop whatever moves, where it is."""
-        self._stopping = True
-        self._interrupt_evaluation(_Result.MACHINE_LOST, "the machine's node was stopped")
+        await self._server.stop()
 
     def close(self) -> None:
         """Release the node."""
-        self.node.destroy_node()
+        self.destroy_node()
 
-    def _describe(
-        self, _: DescribeMachine.Request, response: DescribeMachine.Response
-    ) -> DescribeMachine.Response:
-        description = self._machine.description
-        response.name = description.title
-        response.variables = [
-            msg.Variable(name=v.name, unit=v.unit, min=v.minimum, max=v.maximum)
-            for v in description.variables
-        ]
-        response.diagnostics = [
-            msg.Observable(name=d.name, unit=d.unit) for d in description.diagnostics
-        ]
-        return response
+    def _halt(self, reason: str) -> None:
+        self._server.interrupt(Failure(EvaluateSetpoint.Result.NOT_ACTIVE, reason))
+        self._backend.deactivate(reason)
+        self.get_logger().info(reason)
 
-    def _cancel(self, goal_handle: ServerGoalHandle) -> CancelResponse:
-        if bytes(goal_handle.goal_id.uuid) == self._goal_id:
-            self._interrupt_evaluation(_Result.CANCELED, "a client stopped the evaluation")
-        return CancelResponse.ACCEPT
+    def _passing_time(self) -> Callable[[], float]:
+        """What drives the machine: wall time, or the clock of others where that is simulated."""
+        simulated = self.get_parameter("use_sim_time").value
+        if simulated and not self._values["publish_clock"]:
+            clock = self.get_clock()
+            return lambda: float(clock.now().nanoseconds * 1e-9)
+        return time.monotonic
 
-    def _interrupt_evaluation(self, code: int, reason: str) -> None:
-        if self._interrupt is not None and not self._interrupt.done():
-            # At once, not when the coroutine wakes up: the machine holds where it is now.
-            self._machine.stop()
-            self._interrupt.set_result((code, reason))
+    def _every(self, period: float, callback: Callable[[], Any]) -> None:
+        # Of a steady clock: a stream is for people and other nodes, who live in wall time.
+        self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    async def _execute(self, goal_handle: ServerGoalHandle) -> EvaluateSetpoint.Result:
-        """Evaluate one set-point; a goal that cannot be served moves nothing and says why."""
-        started = time.perf_counter()
-        goal = goal_handle.request
-        result = _Result(run_id=goal.run_id, index=goal.index, error_code=_Result.NONE)
-        evaluation = self._start(goal, result)
-        if evaluation is not None:
-            self._goal_id = bytes(goal_handle.goal_id.uuid)
-            self._interrupt = Future(executor=self._executor)
-            if goal_handle.is_cancel_requested:  # canceled before it began
-                self._cancel(goal_handle)
-            try:
-                await self._drive(evaluation, goal_handle)
-                self._fill(result, evaluation)
-            finally:
-                self._interrupt = None
-        result.stamp = self.node.get_clock().now().to_msg()
-        result.machine_seconds = time.perf_counter() - started
-        if result.error_code == _Result.NONE:
-            goal_handle.succeed()
-        elif goal_handle.is_cancel_requested:
-            goal_handle.canceled()
-        else:
-            self.node.get_logger().warning(f"evaluation {goal.index}: {result.error_msg}")
-            goal_handle.abort()
-        return result
+    def _stream(self) -> None:
+        """Let time pass, show the devices, and take a shot where none was asked for."""
+        self._backend.advance()
+        self._devices.publish()
+        machine = self._backend.machine
+        if machine is None or not self._backend.active:
+            return
+        period = 1.0 / machine.behaviour.beam.repetition_rate
+        if machine.time - self._last_free_shot < period:
+            return
+        shot = machine.free_shot()
+        if shot is not None:
+            self._last_free_shot = machine.time
+            self._beam.publish(shot)
+            self._devices.publish_changes()
 
-    def _start(
-        self, goal: EvaluateSetpoint.Goal, result: EvaluateSetpoint.Result
-    ) -> Evaluation | None:
-        """Start the evaluation, or write into `result` why not."""
-        setpoint = values_of(goal.setpoint)
-        if self._interrupt is not None or self._stopping:
-            result.error_code = _Result.BUSY
-            result.error_msg = "another evaluation is running; one at a time is allowed"
-        elif len(setpoint) != len(goal.setpoint):
-            result.error_code = _Result.INVALID_SETPOINT
-            result.error_msg = "set-point names a variable twice"
-        else:
-            try:
-                return self._machine.start_evaluation(setpoint, goal.shots or None)
-            except ValueError as error:
-                result.error_code = _Result.INVALID_SETPOINT
-                result.error_msg = str(error)
-        return None
+    def _measured(self, result: EvaluationResult) -> None:
+        self._health.evaluations += 1
+        self._health.failures += result.failure is not None
+        if self._backend.machine is not None:
+            self._beam.publish_uncertainty(self._backend.machine.spread())
 
-    async def _drive(self, evaluation: Evaluation, goal_handle: ServerGoalHandle) -> None:
-        """Let simulated time pass until the evaluation is finished or interrupted."""
-        assert self._interrupt is not None
-        last = time.monotonic()
-        next_feedback = last
-        while not evaluation.phase.finished:
-            if last >= next_feedback:
-                next_feedback = last + FEEDBACK_PERIOD
-                goal_handle.publish_feedback(
-                    EvaluateSetpoint.Feedback(
-                        phase=_PHASE_WORDS[evaluation.phase],
-                        fraction=evaluation.fraction,
-                        readbacks=named_values(self._machine.readbacks(), self._units),
-                    )
-                )
-            remaining = (evaluation.duration - evaluation.elapsed) / self._speed
-            pause = min(max(remaining, 0.0), FEEDBACK_PERIOD)
-            if await first_of(self.node, self._interrupt, timeout=pause) is not None:
-                return
-            now = time.monotonic()
-            self._machine.step((now - last) * self._speed)
-            last = now
-
-    def _fill(self, result: EvaluateSetpoint.Result, evaluation: Evaluation) -> None:
-        assert self._interrupt is not None
-        if self._interrupt.done():
-            result.error_code, result.error_msg = self._interrupt.result()
-        if evaluation.result is not None:
-            result.readbacks = _messages(evaluation.result.readbacks)
-            result.diagnostics = _messages(evaluation.result.diagnostics)
-
-
-def _messages(readings: tuple[Reading, ...]) -> list[msg.NamedValue]:
-    return [
-        msg.NamedValue(name=r.name, value=r.value, stddev=r.stddev, unit=r.unit) for r in readings
-    ]
+    def _publish_clock(self) -> None:
+        self._backend.advance()
+        now = self._began + self._backend.simulated_time
+        seconds = int(now)
+        self._clock_publisher.publish(
+            ClockMessage(clock=Time(sec=seconds, nanosec=int((now - seconds) * 1e9)))
+        )
 
 
 def main() -> None:

@@ -62,6 +62,11 @@ class Actuators:
         return any(actuator.ramping for actuator in self._actuators.values())
 
     @property
+    def time_to_ramped(self) -> float:
+        """Time until none of them ramps [s]."""
+        return max(actuator.time_to_ramped for actuator in self._actuators.values())
+
+    @property
     def time_to_settled(self) -> float:
         """Time until all are settled [s]."""
         return max(actuator.time_to_settled for actuator in self._actuators.values())

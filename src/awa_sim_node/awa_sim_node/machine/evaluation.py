@@ -103,6 +103,13 @@ class Evaluation:
         return min(1.0, worked / self.duration) if self.duration > 0.0 else 0.0
 
     @property
+    def remaining(self) -> float:
+        """Simulated time until it is done, if nothing else goes wrong [s]."""
+        if self.phase.finished:
+            return 0.0
+        return max(0.0, self.duration + self.waited - self.elapsed)
+
+    @property
     def taken(self) -> int:
         """Number of shots taken so far, those retaken not counted."""
         return len(self._shots)

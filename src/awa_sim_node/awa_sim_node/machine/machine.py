@@ -7,8 +7,7 @@ It knows no clock and no ROS: whoever drives it says how much simulated time has
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
@@ -83,8 +82,7 @@ class SimulatedMachine:
         self._time = 0.0
         self._evaluation: Evaluation | None = None
         self._time_to_shot = math.inf
-        self.shots: deque[Shot] = deque(maxlen=MAX_SHOTS)
-        """The latest shots of evaluations and measurements; whoever drives may take them out."""
+        self._on_shot: Callable[[Shot], None] | None = None
 
     @property
     def description(self) -> MachineDescription:
@@ -120,6 +118,16 @@ class SimulatedMachine:
     def settled_variables(self) -> dict[str, bool]:
         """Whether the actuator of each variable rests on its target."""
         return self._actuators.settled
+
+    @property
+    def time_to_ramped(self) -> float:
+        """Simulated time until every actuator has stopped ramping [s]; 0 if none does."""
+        return self._actuators.time_to_ramped
+
+    @property
+    def time_to_settled(self) -> float:
+        """Simulated time until every actuator rests on its target [s]; 0 if all do."""
+        return self._actuators.time_to_settled
 
     @property
     def measuring(self) -> bool:
@@ -183,7 +191,7 @@ class SimulatedMachine:
         self._check_free()
         self._interlock.check()
         self._actuators.set(targets)
-        return self._actuators.time_to_settled
+        return self.time_to_settled
 
     def set(self, name: str, value: float) -> None:
         """Set one variable, whether or not it or others move; the others go on.
@@ -199,13 +207,17 @@ class SimulatedMachine:
         self._actuators.set(target)
 
     def start_evaluation(
-        self, setpoint: Mapping[str, float], shots: int | None = None
+        self,
+        setpoint: Mapping[str, float],
+        shots: int | None = None,
+        on_shot: Callable[[Shot], None] | None = None,
     ) -> Evaluation:
         """Start an evaluation: go to ``setpoint``, settle, and average some shots.
 
         Args:
             setpoint: One value for each variable, in its unit.
             shots: Number of shots to average; None for the machine's usual number.
+            on_shot: Is given every shot, retaken ones too, and may ``stop`` the machine.
 
         Returns:
             The evaluation; ``step`` drives it on, and its ``result`` is there once it is finished.
@@ -216,14 +228,16 @@ class SimulatedMachine:
             RuntimeError: If the machine is busy or its interlock raised; nothing changes.
         """
         count = self._checked_shots(shots)
-        return self._start(count, self.move(setpoint))
+        return self._start(count, self.move(setpoint), on_shot)
 
-    def measure(self, shots: int | None = None) -> Evaluation:
+    def measure(
+        self, shots: int | None = None, on_shot: Callable[[Shot], None] | None = None
+    ) -> Evaluation:
         """Average some shots where the machine stands; see ``start_evaluation``."""
         count = self._checked_shots(shots)
         self._check_free()
         self._interlock.check()
-        return self._start(count, 0.0)
+        return self._start(count, 0.0, on_shot)
 
     def free_shot(self) -> Shot | None:
         """Take a shot outside an evaluation, as the beam runs all the time; None without beam."""
@@ -276,9 +290,12 @@ class SimulatedMachine:
             raise ValueError(f"shots = {count} must be from 1 to {MAX_SHOTS}")
         return count
 
-    def _start(self, shots: int, settling: float) -> Evaluation:
+    def _start(
+        self, shots: int, settling: float, on_shot: Callable[[Shot], None] | None
+    ) -> Evaluation:
         duration = settling + shots * self._period
         self._evaluation = Evaluation(self.setpoint, shots, duration)
+        self._on_shot = on_shot
         self._advance_phase(self._evaluation)
         return self._evaluation
 
@@ -323,24 +340,27 @@ class SimulatedMachine:
     def _take_shot(self, evaluation: Evaluation) -> None:
         """Take one shot of an evaluation, and see what comes of it."""
         shot = self._beam.shot(self._time, self._actuators.strengths, self._shot_rng)
-        self.shots.append(shot)
         if shot.status is ShotStatus.RETAKEN:
             evaluation.retaken += 1
             evaluation.waited += self._period
-            if evaluation.retaken > self._behaviour.beam.retakes * evaluation.shots:
-                self._fail(
-                    evaluation,
-                    Cause.CHARGE,
-                    f"the charge of {evaluation.retaken} shots was off its target of "
-                    f"{self._behaviour.beam.charge:g} nC by more than "
-                    f"{100.0 * self._behaviour.beam.charge_window:g} %",
-                )
         else:
             evaluation.add(shot, self._actuators.readbacks(self._shot_rng))
+        if self._on_shot is not None:
+            self._on_shot(shot)
         self._watch_losses(shot)
-        if evaluation.complete and not evaluation.phase.finished:
+        if evaluation.phase.finished:
+            return
+        if evaluation.complete:
             failure = evaluation.verdict(self.description)
             self._finish(evaluation, Phase.FAILED if failure else Phase.DONE, failure)
+        elif evaluation.retaken > self._behaviour.beam.retakes * evaluation.shots:
+            self._fail(
+                evaluation,
+                Cause.CHARGE,
+                f"the charge of {evaluation.retaken} shots was off its target of "
+                f"{self._behaviour.beam.charge:g} nC by more than "
+                f"{100.0 * self._behaviour.beam.charge_window:g} %",
+            )
 
     def _watch_losses(self, shot: Shot) -> None:
         """Raise the interlock where losses last, and stop everything then."""
