@@ -6,6 +6,7 @@ knows nothing of our actions can drive the machine with them.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from functools import partial
 
@@ -19,7 +20,7 @@ from mobo_tuner.ros.machine_backend import Failure
 from mobo_tuner.ros.machine_server import MachineServer
 from mobo_tuner.ros.qos import LATCHED, STREAM
 
-WARNING_PERIOD = 1.0  # [s] between two warnings of refused set-points
+WARNING_PERIOD = 1.0  # [s] between two warnings of a device for one kind of reason
 
 
 class Devices:
@@ -45,6 +46,7 @@ class Devices:
         self._interlock = node.create_publisher(Bool, "interlock", LATCHED)
         node.create_service(Trigger, "stop", self._served(self._stop))
         node.create_service(Trigger, "clear_interlock", self._served(self._clear))
+        self._warned: dict[str, tuple[int, float]] = {}
         self._shown: dict[str, bool] = {}
         self._shown_interlock: bool | None = None
 
@@ -88,11 +90,18 @@ class Devices:
             except (ValueError, RuntimeError) as error:
                 refusal = Failure(EvaluateSetpoint.Result.INVALID_SETPOINT, str(error))
         if refusal is not None:
-            self._node.get_logger().warning(
-                f"set-point {name} = {message.data:g} is refused: {refusal.message}",
-                throttle_duration_sec=WARNING_PERIOD,
-            )
+            self._warn(name, message.data, refusal)
         self.publish_changes()
+
+    def _warn(self, name: str, value: float, refusal: Failure) -> None:
+        """Say why a set-point is refused; whoever keeps sending them hears it once a second."""
+        code, when = self._warned.get(name, (0, 0.0))
+        if code == refusal.code and time.monotonic() - when < WARNING_PERIOD:
+            return
+        self._warned[name] = refusal.code, time.monotonic()
+        self._node.get_logger().warning(
+            f"set-point {name} = {value:g} is refused: {refusal.message}"
+        )
 
     def _stop(self) -> tuple[bool, str]:
         self._server.interrupt(
