@@ -55,10 +55,16 @@ def test_a_wrong_parameter_is_named_with_its_group() -> None:
     behaviour = behaviour_of("awa", Mode.NOMINAL)
     with pytest.raises(ValueError, match=r"^jitter_charge = 0\.7 must be from 0 to 0\.5$"):
         behaviour.changed({"jitter_charge": 0.7})
-    with pytest.raises(ValueError, match=r"^solenoid_slew_rate = -1\.0 must be greater than 0$"):
+    with pytest.raises(ValueError, match=r"^solenoid_slew_rate = -1\.0 must be from 0\.001 to"):
         behaviour.changed({"solenoid_slew_rate": -1.0})
     with pytest.raises(ValueError, match=r"^parameter 'jitter' must be one of beam_repetition_ra"):
         behaviour.changed({"jitter": 0.7})
+    with pytest.raises(
+        ValueError, match=r"^trip_recovery_min = 90\.0 must be at most recovery_max"
+    ):
+        behaviour.changed({"trip_recovery_min": 90.0})
+    with pytest.raises(ValueError, match=r"^phase_tolerance = inf must be from"):
+        behaviour.changed({"phase_tolerance": math.inf})
 
 
 def test_single_parameters_override_the_mode() -> None:

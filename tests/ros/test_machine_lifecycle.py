@@ -59,6 +59,9 @@ def test_each_state_allows_what_it_should(
         "the machine's node is not active; nothing may move",
     )
     assert services.change_state(ACTIVATE)
+    for impossible in (ACTIVATE, CONFIGURE, CLEANUP, 200):
+        assert not services.change_state(impossible)
+    assert state() == "active"
     client.send(evaluation_goal(POINT, index=0, shots=1))
     assert client.wait().error_code == RESULT.NONE
 

@@ -105,6 +105,7 @@ class SimulatedBackend:
 
     def refusal(self) -> Failure | None:
         """Why nothing may be moved now by an action."""
+        self.advance()  # a device may have arrived in the meantime
         refusal = self.direct_refusal()
         if refusal is None and self.machine is not None and self.machine.busy:
             return Failure(_Result.BUSY, "a device is being moved by its set-point topic")

@@ -7,10 +7,12 @@ from collections.abc import Callable
 from typing import Any
 
 from builtin_interfaces.msg import Time
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_system_default
 from rosgraph_msgs.msg import Clock as ClockMessage
 
@@ -22,6 +24,7 @@ from awa_sim_node.machine import EvaluationResult, SimulatedMachine, behaviour_o
 from awa_sim_node.machine.behaviour import Mode
 from awa_sim_node.parameters import AWA_SIM, behaviour_specs
 from mobo_msgs_py.action import EvaluateSetpoint
+from mobo_tuner.ros.lifecycle import refuse_unknown_transitions
 from mobo_tuner.ros.machine_backend import Failure
 from mobo_tuner.ros.machine_server import MachineServer
 from mobo_tuner.ros.parameters import declare
@@ -50,6 +53,7 @@ class AwaSim(LifecycleNode):
             StartError: the machine could not be switched on.
         """
         super().__init__("awa_sim")
+        refuse_unknown_transitions(self)
         try:
             self._values = declare(self, AWA_SIM)
             model, mode = str(self._values["model"]), str(self._values["mode"])
@@ -58,6 +62,7 @@ class AwaSim(LifecycleNode):
         except ValueError:
             self.destroy_node()
             raise
+        self.add_on_set_parameters_callback(self._refuse_unknown_parameters)
         description = describe(model)
         self._speed = float(self._values["speed"])
         self._backend = SimulatedBackend(self, description, self._speed, self._passing_time())
@@ -78,8 +83,8 @@ class AwaSim(LifecycleNode):
             )
             self._every(CLOCK_PERIOD, self._publish_clock)
         if self._values["autostart"]:
-            self.trigger_configure()
-            self.trigger_activate()
+            if self.trigger_configure() is _SUCCESS:
+                self.trigger_activate()
             if not self._backend.active:
                 self.destroy_node()
                 raise StartError("the machine could not be switched on; see above")
@@ -92,9 +97,13 @@ class AwaSim(LifecycleNode):
     def on_configure(self, _: LifecycleState) -> TransitionCallbackReturn:
         """Switch the machine on."""
         values = self._values
-        machine = SimulatedMachine(
-            str(values["model"]), str(values["mode"]), int(values["seed"]), self._behaviour
-        )
+        try:
+            machine = SimulatedMachine(
+                str(values["model"]), str(values["mode"]), int(values["seed"]), self._behaviour
+            )
+        except Exception as error:  # rclpy would say nothing of it
+            self.get_logger().error(f"the machine cannot be switched on: {error!r}")
+            return TransitionCallbackReturn.FAILURE
         self._backend.connect(machine)
         self._last_free_shot = 0.0
         self.get_logger().info(
@@ -143,6 +152,12 @@ class AwaSim(LifecycleNode):
         self._server.interrupt(Failure(EvaluateSetpoint.Result.NOT_ACTIVE, reason))
         self._backend.deactivate(reason)
         self.get_logger().info(reason)
+
+    def _refuse_unknown_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Refuse what rclpy takes though nobody declared it: a parameter without a name."""
+        unknown = [p.name for p in parameters if not self.has_parameter(p.name)]
+        reason = f"the parameter '{unknown[0]}' is unknown" if unknown else ""
+        return SetParametersResult(successful=not unknown, reason=reason)
 
     def _passing_time(self) -> Callable[[], float]:
         """What drives the machine: wall time, or the clock of others where that is simulated."""

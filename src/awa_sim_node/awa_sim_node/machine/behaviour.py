@@ -59,10 +59,11 @@ class Behaviour:
         Raises:
             ValueError: If a parameter is unknown or not allowed.
         """
-        known = self.values
-        for name in values:
-            if name not in known:
-                raise ValueError(f"parameter {name!r} must be one of {', '.join(known)}")
+        infos = self.infos
+        for name, value in values.items():
+            if name not in infos:
+                raise ValueError(f"parameter {name!r} must be one of {', '.join(infos)}")
+            infos[name].check(name, value)
         groups = {}
         for group in fields(self):
             own = getattr(self, group.name)
@@ -73,7 +74,7 @@ class Behaviour:
             }
             try:
                 groups[group.name] = replace(own, **changes)
-            except ValueError as error:
+            except ValueError as error:  # two parameters that do not go together
                 raise ValueError(f"{group.name}_{error}") from None
         return replace(self, **groups)
 

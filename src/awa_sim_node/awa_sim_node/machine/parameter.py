@@ -30,6 +30,11 @@ class ParameterInfo:
     maximum: float
     source: str
 
+    def check(self, name: str, value: float) -> None:
+        """Check a value; ValueError if it is not finite or out of the range."""
+        if not (math.isfinite(value) and self.minimum <= value <= self.maximum):
+            raise ValueError(f"{name} = {value} must be from {self.minimum:g} to {self.maximum:g}")
+
 
 def parameter(meaning: str, minimum: float, maximum: float, source: str = ASSUMED) -> Any:
     """Return a dataclass field that carries a ``ParameterInfo``."""
@@ -50,8 +55,4 @@ class ParameterGroup:
     def __post_init__(self) -> None:
         """Check the values; ValueError if one of them is not finite or out of its range."""
         for item in fields(self):
-            info, value = info_of(item), getattr(self, item.name)
-            if not (math.isfinite(value) and info.minimum <= value <= info.maximum):
-                raise ValueError(
-                    f"{item.name} = {value} must be from {info.minimum:g} to {info.maximum:g}"
-                )
+            info_of(item).check(item.name, getattr(self, item.name))
