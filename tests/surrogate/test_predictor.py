@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from awa_sim_node.surrogate import Surrogate, metadata
+from awa_sim_node.surrogate.network import EnsembleNetwork
 from awa_sim_node.surrogate.simulations import Simulations
 from awa_sim_node.surrogate.train import error_table, print_errors
 
@@ -80,6 +82,37 @@ def test_arrays_and_floats_give_the_same(surrogate: Surrogate, table: Simulation
         np.testing.assert_array_equal(by_name[name], by_array[:, j])
     one = surrogate.predict(dict(zip(CENTRE, some[7], strict=True)))
     np.testing.assert_allclose(list(one.values()), by_array[7], rtol=1e-12)
+
+
+def test_spread_is_that_of_the_members(surrogate: Surrogate, table: Simulations) -> None:
+    points = table.inputs[:20]
+    by_name = dict(zip(CENTRE, points.T, strict=True))
+    predicted, spread = surrogate.predict_with_spread(by_name)
+    with np.load(Path(metadata.__file__).with_name("weights.npz")) as file:
+        state = {name: torch.as_tensor(file[name]) for name in file.files}
+    members, _, hidden = state["widths.weights.0"].shape
+    alone = []
+    for member in range(members):
+        network = EnsembleNetwork(1, hidden).double()
+        shapes = network.state_dict()
+        network.load_state_dict(
+            {
+                name: value if value.shape == shapes[name].shape else value[member : member + 1]
+                for name, value in state.items()
+            }
+        )
+        alone.append(Surrogate(network).predict_array(points))
+    for j, name in enumerate(NAMES):
+        expected = np.std([outputs[:, j] for outputs in alone], axis=0, ddof=1)
+        np.testing.assert_allclose(spread[name], expected, rtol=1e-4, atol=1e-9)
+        np.testing.assert_array_equal(spread[name], surrogate.spread(by_name)[name])
+        np.testing.assert_array_equal(predicted[name], surrogate.predict(by_name)[name])
+    one = surrogate.spread(CENTRE)
+    assert list(one) == NAMES
+    assert all(type(value) is float and value >= 0.0 for value in one.values())
+    assert 0.0 < one["eps_x"] < 0.05 * surrogate.predict(CENTRE)["eps_x"]
+    with pytest.raises(ValueError, match=r"outside the range"):
+        surrogate.spread(CENTRE | {"K1": 1.0})
 
 
 def test_numbers_spread_over_arrays(surrogate: Surrogate) -> None:

@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
-from torch import Tensor
 
 from awa_sim_node.surrogate.metadata import (
     DEFAULT_CHARGE,
@@ -17,7 +16,7 @@ from awa_sim_node.surrogate.metadata import (
     INPUTS,
     OUTPUTS,
 )
-from awa_sim_node.surrogate.network import EnsembleNetwork
+from awa_sim_node.surrogate.network import Beam, EnsembleNetwork
 
 WEIGHTS_FILE: Final = "weights.npz"
 
@@ -65,23 +64,32 @@ class Surrogate:
         Raises:
             ValueError: If an input is missing, unknown, not finite or outside its training range.
         """
-        unknown = sorted(set(inputs) - set(_NAMES))
-        if unknown:
-            raise ValueError(f"input {unknown[0]!r} must be one of {', '.join(_NAMES)}")
-        given = {**self.defaults, **inputs}
-        missing = [name for name in _NAMES if name not in given]
-        if missing:
-            raise ValueError(f"input {missing[0]!r} must be given")
-        columns = [np.asarray(given[name], dtype=np.float64) for name in _NAMES]
-        lengths = sorted({column.size for column in columns if column.ndim > 0})
-        if any(column.ndim > 1 for column in columns) or len(lengths) > 1:
-            raise ValueError("inputs must be numbers or one-dimensional arrays of one length")
-        predicted = self.predict_array(
-            np.stack(np.broadcast_arrays(*columns), axis=-1).reshape(-1, 8)
-        )
-        if lengths:
-            return {o.name: predicted[:, j].copy() for j, o in enumerate(OUTPUTS)}
-        return {o.name: float(predicted[0, j]) for j, o in enumerate(OUTPUTS)}
+        points, scalar = self._points(inputs)
+        return _by_name(self.predict_array(points), scalar)
+
+    def spread(self, inputs: Mapping[str, ArrayLike]) -> dict[str, Any]:
+        """Return how much the members of the ensemble differ, as a model uncertainty.
+
+        Args:
+            inputs: As for ``predict``.
+
+        Returns:
+            The standard deviation between the members of each output, in its unit: floats, or
+            arrays if an input is one.
+
+        Raises:
+            ValueError: As ``predict`` does.
+        """
+        points, scalar = self._points(inputs)
+        return _by_name(self._members(points).std(axis=0, ddof=1), scalar)
+
+    def predict_with_spread(
+        self, inputs: Mapping[str, ArrayLike]
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Return what ``predict`` and ``spread`` do, at the cost of one of them."""
+        points, scalar = self._points(inputs)
+        members = self._members(points)
+        return _by_name(average(members), scalar), _by_name(members.std(axis=0, ddof=1), scalar)
 
     def predict_array(self, inputs: NDArray[np.float64]) -> NDArray[np.float64]:
         """Predict the beam at the screen for n points at once.
@@ -95,6 +103,26 @@ class Surrogate:
         Raises:
             ValueError: If the shape is wrong, or a value not finite or outside its training range.
         """
+        return average(self._members(inputs))
+
+    def _points(self, inputs: Mapping[str, ArrayLike]) -> tuple[NDArray[np.float64], bool]:
+        """Return the inputs as an array ``(n, 8)``, and whether all of them are plain numbers."""
+        unknown = sorted(set(inputs) - set(_NAMES))
+        if unknown:
+            raise ValueError(f"input {unknown[0]!r} must be one of {', '.join(_NAMES)}")
+        given = {**self.defaults, **inputs}
+        missing = [name for name in _NAMES if name not in given]
+        if missing:
+            raise ValueError(f"input {missing[0]!r} must be given")
+        columns = [np.asarray(given[name], dtype=np.float64) for name in _NAMES]
+        lengths = sorted({column.size for column in columns if column.ndim > 0})
+        if any(column.ndim > 1 for column in columns) or len(lengths) > 1:
+            raise ValueError("inputs must be numbers or one-dimensional arrays of one length")
+        points = np.stack(np.broadcast_arrays(*columns), axis=-1).reshape(-1, len(_NAMES))
+        return points, not lengths
+
+    def _members(self, inputs: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the outputs of each member, ``(M, n, 9)``."""
         inputs = np.asarray(inputs, dtype=np.float64)
         if inputs.ndim != 2 or inputs.shape[1] != len(INPUTS):
             raise ValueError(
@@ -103,8 +131,7 @@ class Surrogate:
         self._refuse_extrapolation(inputs)
         with torch.inference_mode():
             points = torch.from_numpy(inputs)
-            beam = self._network(points, torch.ones(len(points), dtype=torch.float64))
-            return combine(beam.logs[:, :, 0], beam.log_transmission)
+            return outputs_of(self._network(points, torch.ones(len(points), dtype=torch.float64)))
 
     def _refuse_extrapolation(self, inputs: NDArray[np.float64]) -> None:
         outside = ~((inputs >= self._low) & (inputs <= self._high))
@@ -119,16 +146,28 @@ class Surrogate:
         )
 
 
-def combine(logs: Tensor, log_transmission: Tensor) -> NDArray[np.float64]:
+def outputs_of(beam: Beam) -> NDArray[np.float64]:
+    """Return the outputs at the screen of each member of an ensemble, ``(M, n, 9)``."""
+    logs = torch.cat([beam.logs[:, :, 0], beam.log_transmission[..., None]], dim=-1)
+    return np.asarray(torch.exp(logs).numpy(), dtype=np.float64)
+
+
+def average(members: NDArray[np.float64]) -> NDArray[np.float64]:
     """Average the members of an ensemble.
 
     Args:
-        logs: Logs of the first eight outputs at the screen, ``(M, n, 8)``.
-        log_transmission: Log of the transmission, ``(M, n)``.
+        members: The outputs of each member, ``(M, n, 9)``.
 
     Returns:
         The geometric mean of the first eight outputs, and the mean of the transmission, ``(n, 9)``.
     """
-    outputs = torch.exp(logs.mean(dim=0))
-    transmission = torch.exp(log_transmission).mean(dim=0)
-    return np.asarray(torch.cat([outputs, transmission[:, None]], dim=1).numpy(), dtype=np.float64)
+    mean = np.exp(np.log(members).mean(axis=0))
+    mean[:, 8] = members[:, :, 8].mean(axis=0)
+    return np.asarray(mean, dtype=np.float64)
+
+
+def _by_name(outputs: NDArray[np.float64], scalar: bool) -> dict[str, Any]:
+    """Return the columns of ``(n, 9)`` by name, as floats if ``scalar``."""
+    if scalar:
+        return {o.name: float(outputs[0, j]) for j, o in enumerate(OUTPUTS)}
+    return {o.name: outputs[:, j].copy() for j, o in enumerate(OUTPUTS)}

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from awa_sim_node.surrogate.metadata import INPUTS, OUTPUTS, TRAINED_FILE
 from awa_sim_node.surrogate.network import Beam, EnsembleNetwork
-from awa_sim_node.surrogate.predictor import WEIGHTS_FILE, Surrogate, combine
+from awa_sim_node.surrogate.predictor import WEIGHTS_FILE, Surrogate, average, outputs_of
 from awa_sim_node.surrogate.simulations import Simulations
 
 FOLDS: Final = 8
@@ -136,16 +136,13 @@ def cross_validate(table: Simulations, recipe: Recipe, folds: int = FOLDS) -> ND
         weights[members, fine[fold == number]] = 0.0
     network = fit(table, weights, recipe)
     with torch.no_grad():
-        beam = network(
-            torch.as_tensor(table.inputs[fine]), torch.ones(len(fine), dtype=torch.float64)
-        )
+        points = torch.as_tensor(table.inputs[fine])
+        outputs = outputs_of(network(points, torch.ones(len(fine), dtype=torch.float64)))
     predicted = np.empty((len(fine), len(OUTPUTS)))
     for number in range(folds):
         members = slice(number * recipe.members, (number + 1) * recipe.members)
         rows = np.flatnonzero(fold == number)
-        predicted[rows] = combine(
-            beam.logs[members][:, rows, 0], beam.log_transmission[members][:, rows]
-        )
+        predicted[rows] = average(outputs[members][:, rows])
     return predicted
 
 
