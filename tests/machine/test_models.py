@@ -10,7 +10,7 @@ import pytest
 
 from awa_sim_node.machine import MODEL_NAMES, Mode, describe
 from awa_sim_node.machine.models import AwaModel, Model, ToyModel, create_model
-from awa_sim_node.surrogate import metadata
+from awa_sim_node.surrogate import Surrogate, metadata
 
 
 def test_awa_has_the_limits_of_the_paper() -> None:
@@ -101,3 +101,12 @@ def test_a_description_needs_no_torch() -> None:
         "assert len(describe('awa').variables) == 6 and len(output_ranges()) == 9\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_the_surrogate_says_how_uncertain_it_is_and_the_toy_is_exact() -> None:
+    awa = create_model("awa")
+    inputs = {variable.name: variable.initial for variable in awa.description.variables}
+    spread = awa.spread(inputs | {"charge": 41.0})
+    assert spread == Surrogate.load().spread(inputs | {"charge": 41.0})
+    assert {d.name for d in awa.description.diagnostics} == set(spread) | {"charge"}
+    assert create_model("toy").spread({"x1": 0.0, "x2": 0.0}) == {}

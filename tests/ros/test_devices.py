@@ -12,6 +12,7 @@ from rclpy.publisher import Publisher
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import Trigger
 
+from awa_sim_node.surrogate import Surrogate
 from machine_support import LOSSY, MIDDLE, Listener, Services, evaluation_goal, start_machine
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint
@@ -186,6 +187,22 @@ def test_the_truth_is_told_to_tests_alone(
     # Charge jitter moves the truth by some per cent, the streak camera's noise is 12 %.
     assert 0.0 < max(true) / min(true) - 1.0 < 0.5
     assert max(measured.data) / min(measured.data) > max(true) / min(true)
+
+
+def test_the_models_uncertainty_follows_a_measurement(
+    start_node: NodeStarter, node: Node, spin_until: Callable[..., None]
+) -> None:
+    start_machine(start_node, mode="ideal", speed=1000.0)
+    uncertainty = Listener(node, msg.NamedValues, "model_uncertainty", LATCHED)
+    client = machine_client(node, spin_until)
+    client.send(evaluation_goal(MIDDLE, shots=1))
+    assert client.wait().error_code == RESULT.NONE
+    spin_until(lambda: uncertainty.messages, "the uncertainty")
+    expected = Surrogate.load().spread(MIDDLE)
+    published = {v.name: (v.value, v.unit) for v in uncertainty.messages[-1].values}
+    assert {name: value for name, (value, _) in published.items()} == pytest.approx(expected)
+    assert published["eps_x"][1] == "mm mrad"
+    assert published["eps_x"][0] > 0.0
 
 
 def test_the_truth_is_kept_unless_asked_for(

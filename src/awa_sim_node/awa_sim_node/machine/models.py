@@ -115,6 +115,10 @@ class AwaModel(Model):
         values = self._surrogate.predict(inputs)
         return {**values, "charge": inputs.get("charge", metadata.DEFAULT_CHARGE)}
 
+    def spread(self, inputs: Mapping[str, float]) -> dict[str, float]:
+        """Return how much the members of the surrogate's ensemble differ."""
+        return self._surrogate.spread(inputs)
+
 
 _TOY_LIMIT: Final = 2.0
 
