@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,10 @@ from scipy.integrate import solve_ivp
 
 from awa_sim_node.machine.actuator import INSTANTANEOUS, Actuator, ActuatorParameters
 
-SOLENOID = ActuatorParameters(slew_rate=8.0, time_constant=1.5, tolerance=0.1, readback_noise=0.05)
+SOLENOID = ActuatorParameters(
+    slew_rate=8.0, time_constant=1.5, tolerance=0.1, readback_noise=0.05, hysteresis=0.0
+)
+STICKY = replace(SOLENOID, hysteresis=2.0)
 
 
 def test_time_to_settle_agrees_with_hand_calculation() -> None:
@@ -107,6 +111,42 @@ def test_readback_noise_has_the_stated_size() -> None:
     assert actuator.position == 475.0
 
 
+def test_without_hysteresis_the_beam_feels_the_position() -> None:
+    actuator = Actuator(SOLENOID, 400.0)
+    actuator.set(430.0)
+    for _ in range(20):
+        actuator.step(0.37)
+        assert actuator.strength == actuator.position
+
+
+def test_hysteresis_depends_on_where_the_actuator_came_from() -> None:
+    actuator = Actuator(STICKY, 450.0)
+    for target, strength in ((500.0, 499.0), (499.0, 499.0), (450.0, 451.0), (451.5, 451.0)):
+        actuator.set(target)
+        actuator.step(actuator.time_to_settled)
+        assert actuator.settled
+        assert actuator.strength == pytest.approx(strength, abs=1e-9)
+
+
+def test_hysteresis_sees_a_turning_point_within_a_step() -> None:
+    coarse, fine = Actuator(STICKY, 400.0), Actuator(STICKY, 400.0)
+    for actuator in (coarse, fine):
+        actuator.set(500.0)
+        actuator.step(2.0)
+        actuator.set(404.5)  # the position still runs up for a while
+    farthest = 0.0
+    for _ in range(40_000):
+        fine.step(0.001)
+        farthest = max(farthest, fine.position)
+    coarse.step(40.0)
+    assert fine.settled
+    assert coarse.settled
+    assert coarse.strength == pytest.approx(fine.strength, abs=1e-6)
+    # Exactly one play below the position on the way down, the farthest point never reached again.
+    assert coarse.strength == pytest.approx(405.5, abs=1e-9)
+    assert farthest > 406.0
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -116,6 +156,8 @@ def test_readback_noise_has_the_stated_size() -> None:
         ("time_constant", math.inf),
         ("tolerance", 0.0),
         ("readback_noise", -0.1),
+        ("hysteresis", -0.1),
+        ("hysteresis", math.nan),
     ],
 )
 def test_senseless_parameters_are_refused(name: str, value: float) -> None:
@@ -124,6 +166,7 @@ def test_senseless_parameters_are_refused(name: str, value: float) -> None:
         "time_constant": 1.5,
         "tolerance": 0.1,
         "readback_noise": 0.05,
+        "hysteresis": 0.0,
     }
     with pytest.raises(ValueError, match=rf"^{name} = .* must be "):
         ActuatorParameters(**(good | {name: value}))

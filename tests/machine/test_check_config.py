@@ -43,6 +43,10 @@ def test_every_shipped_configuration_is_good(name: str) -> None:
         ("awa_sim", "model", "lcls", "awa_sim.model is 'lcls'; allowed are"),
         ("awa_sim", "speed", 0, "awa_sim.speed is 0"),
         ("awa_sim", "speed", "fast", "awa_sim.speed must be a number, not 'fast'"),
+        ("awa_sim", "mode", "awful", "awa_sim.mode is 'awful'; allowed are ideal, nominal, rough"),
+        ("awa_sim", "jitter_charge", 0.6, "awa_sim.jitter_charge is 0.6; 0 to 0.5 is allowed"),
+        ("awa_sim", "interlock_shots", 1.5, "awa_sim.interlock_shots must be a whole number"),
+        ("awa_sim", "trip_recovery_min", 90, "awa_sim.trip_recovery_min = 90 must be at most"),
         ("awa_sim", "speed", True, "awa_sim.speed must be a number, not True"),
     ],
 )

@@ -8,13 +8,29 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from awa_sim_node.machine import Evaluation, EvaluationResult, Phase, SimulatedMachine
+from awa_sim_node.machine import (
+    Cause,
+    Evaluation,
+    EvaluationFailure,
+    EvaluationResult,
+    Phase,
+    SimulatedMachine,
+)
 from awa_sim_node.machine.diagnostics import Reading
 from awa_sim_node.machine.models import AwaModel, Model, ToyModel
 from awa_sim_node.surrogate import Surrogate
 
 CENTRE = {"K1": 475.0, "K2": 230.0, "phi1": -5.0, "phi2": -5.0, "G1": 67.5, "G2": 20.0}
 FAR = {"K1": 525.0, "K2": 250.0, "phi1": -1.0, "phi2": -9.0, "G1": 70.0, "G2": 17.0}
+READBACK_NOISE = {"K1": 0.05, "K2": 0.05, "phi1": 0.02, "phi2": 0.02, "G1": 0.01, "G2": 0.01}
+STEADY = dict.fromkeys(
+    (
+        *("beam_dropout", "beam_invalid_image", "beam_charge_window", "trip_rate"),
+        *("jitter_charge", "jitter_timing", "jitter_phase", "jitter_gradient"),
+        *("drift_charge", "drift_phase", "drift_gradient"),
+    ),
+    0.0,
+)
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +86,7 @@ def test_an_evaluation_goes_through_its_phases_in_physical_time(awa: Model) -> N
 
 
 def test_usual_evaluations_take_ten_to_thirty_seconds(awa: Model) -> None:
-    machine = SimulatedMachine(awa, "nominal", seed=0)
+    machine = SimulatedMachine(awa, "nominal", seed=0, parameters=STEADY)
     rng = np.random.default_rng(2)
     variables = machine.description.variables
     durations = []
@@ -96,7 +112,7 @@ def test_the_ideal_machine_measures_the_surrogate_itself(awa: Model) -> None:
 
 
 def test_the_nominal_machine_scatters_as_its_noise_says(awa: Model) -> None:
-    machine = SimulatedMachine(awa, "nominal", seed=4)
+    machine = SimulatedMachine(awa, "nominal", seed=4, parameters=STEADY)
     result = finish(machine, machine.start_evaluation(CENTRE, shots=2000))
     truth = awa.true_values(CENTRE)
     for reading in result.diagnostics:
@@ -104,7 +120,7 @@ def test_the_nominal_machine_scatters_as_its_noise_says(awa: Model) -> None:
         assert abs(reading.value - truth[reading.name]) < 4.0 * expected, reading
         assert abs(reading.stddev / expected - 1.0) < 4.0 / math.sqrt(2 * 2000), reading
     for reading in result.readbacks:
-        expected = awa.actuators[reading.name].readback_noise / math.sqrt(2000)
+        expected = READBACK_NOISE[reading.name] / math.sqrt(2000)
         assert abs(reading.value - CENTRE[reading.name]) < 4.0 * expected, reading
 
 
@@ -166,7 +182,7 @@ def test_stop_holds_where_the_machine_is(awa: Model) -> None:
 
 
 def test_stop_while_measuring_keeps_the_shots_so_far(awa: Model) -> None:
-    machine = SimulatedMachine(awa, "nominal", seed=0)
+    machine = SimulatedMachine(awa, "nominal", seed=0, parameters=STEADY)
     evaluation = machine.start_evaluation(CENTRE, shots=5)
     machine.step(2.5)
     machine.stop()
@@ -243,7 +259,9 @@ def test_a_senseless_step_is_refused(dt: float) -> None:
 
 
 def test_senseless_construction_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"^mode = 'perfect' must be one of ideal, nominal$"):
+    with pytest.raises(
+        ValueError, match=r"^mode = 'perfect' must be one of ideal, nominal, rough$"
+    ):
         SimulatedMachine("toy", mode="perfect")
     with pytest.raises(ValueError, match=r"^seed = -1 must be at least 0$"):
         SimulatedMachine("toy", seed=-1)
@@ -253,11 +271,14 @@ def test_senseless_construction_is_refused() -> None:
 
 def test_a_diagnostic_that_gives_nothing_reads_nan() -> None:
     class Blind(ToyModel):
-        def true_values(self, positions: Mapping[str, float]) -> dict[str, float]:
-            return super().true_values(positions) | {"g": math.nan}
+        def true_values(self, inputs: Mapping[str, float]) -> dict[str, float]:
+            return super().true_values(inputs) | {"g": math.nan}
 
     machine = SimulatedMachine(Blind(), "nominal", seed=0)
-    result = finish(machine, machine.start_evaluation({"x1": 1.0, "x2": 0.0}, shots=3))
+    evaluation = machine.start_evaluation({"x1": 1.0, "x2": 0.0}, shots=3)
+    result = finish(machine, evaluation)
+    assert evaluation.phase is Phase.FAILED
+    assert result.failure == EvaluationFailure(Cause.NO_DATA, "none of 3 shots gave a valid g")
     measured = values(result.diagnostics)
     assert math.isnan(measured["g"])
     assert math.isfinite(measured["f1"])

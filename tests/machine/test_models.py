@@ -8,9 +8,9 @@ import sys
 
 import pytest
 
-from awa_sim_node.machine import MODEL_NAMES, describe
+from awa_sim_node.machine import MODEL_NAMES, Mode, describe
 from awa_sim_node.machine.models import AwaModel, Model, ToyModel, create_model
-from awa_sim_node.surrogate import metadata
+from awa_sim_node.surrogate import Surrogate, metadata
 
 
 def test_awa_has_the_limits_of_the_paper() -> None:
@@ -44,7 +44,10 @@ def test_awa_measures_the_objectives_and_more() -> None:
 @pytest.mark.parametrize("model", [AwaModel, ToyModel])
 def test_a_model_speaks_of_the_same_names_throughout(model: type[Model]) -> None:
     description = model.description
-    assert set(model.actuators) == {variable.name for variable in description.variables}
+    assert {variable.name for variable in description.variables} <= set(model.kinds)
+    assert set(model.ranges) <= set(model.kinds)
+    assert {name for image in model.images for name in image} <= set(model.noise)
+    assert set(model.modes) == set(Mode)
     assert set(model.noise) == {diagnostic.name for diagnostic in description.diagnostics}
     for variable in description.variables:
         assert variable.minimum <= variable.initial <= variable.maximum
@@ -98,3 +101,12 @@ def test_a_description_needs_no_torch() -> None:
         "assert len(describe('awa').variables) == 6 and len(output_ranges()) == 9\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_the_surrogate_says_how_uncertain_it_is_and_the_toy_is_exact() -> None:
+    awa = create_model("awa")
+    inputs = {variable.name: variable.initial for variable in awa.description.variables}
+    spread = awa.spread(inputs | {"charge": 41.0})
+    assert spread == Surrogate.load().spread(inputs | {"charge": 41.0})
+    assert {d.name for d in awa.description.diagnostics} == set(spread) | {"charge"}
+    assert create_model("toy").spread({"x1": 0.0, "x2": 0.0}) == {}

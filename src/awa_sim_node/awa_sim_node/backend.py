@@ -1,15 +1,25 @@
-"""The simulated machine as `MachineServer` drives it: wall time becomes simulated time."""
+"""The simulated machine as `MachineServer` drives it: passing time becomes simulated time."""
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from rclpy.node import Node
 
-from awa_sim_node.machine import MAX_SHOTS, SimulatedMachine
+from awa_sim_node.machine import (
+    MAX_SHOTS,
+    Cause,
+    EvaluationResult,
+    InterlockError,
+    MachineDescription,
+    Shot,
+    SimulatedMachine,
+)
 from awa_sim_node.machine.diagnostics import Reading
 from mobo_msgs_py import msg
+from mobo_msgs_py.action import EvaluateSetpoint
 from mobo_tuner.ros.conversions import named_values
 from mobo_tuner.ros.machine_backend import (
     MEASURING,
@@ -22,22 +32,34 @@ from mobo_tuner.ros.machine_backend import (
 from mobo_tuner.ros.waiting import first_of
 
 STEP_PERIOD = 0.1  # [s] of wall time, at most
+SHORTEST_PAUSE = 0.001  # [s] of wall time
+STEP_BUDGET = 0.05  # [s] of wall time that simulating may take at once; what is over is left out
+_Result = EvaluateSetpoint.Result
+_CODES = {Cause.INTERLOCK: _Result.INTERLOCK}
 
 
 class SimulatedBackend:
-    """Lets simulated time pass, `speed` times as fast as wall time, while something is to be done.
+    """Lets simulated time pass, `speed` times as fast as `now`, while a machine is connected.
 
     Args:
         node: on whose executor the coroutines run.
-        machine: what is simulated.
-        speed: simulated seconds per second of wall time.
+        description: of the machine, whether connected or not.
+        speed: simulated seconds per second.
+        now: the time that passes [s].
     """
 
-    def __init__(self, node: Node, machine: SimulatedMachine, speed: float) -> None:
+    def __init__(
+        self,
+        node: Node,
+        description: MachineDescription,
+        speed: float,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._node = node
-        self._machine = machine
         self._speed = speed
-        description = machine.description
+        self._now = now
+        self._last = now()
+        self._inactive = "the machine's node is not configured"
         self.name = description.title
         self.max_shots = MAX_SHOTS
         self.variables = [
@@ -48,26 +70,91 @@ class SimulatedBackend:
             msg.Observable(name=d.name, unit=d.unit) for d in description.diagnostics
         ]
         self._units = {v.name: v.unit for v in description.variables}
+        self.machine: SimulatedMachine | None = None
+        """None while it is not connected."""
+        self.simulated_time = 0.0
+        """That has passed since the node was started, whichever machine was connected [s]."""
+        self.on_shot: Callable[[Shot], None] = lambda _: None
+        self.on_step: Callable[[], None] = lambda: None
+        self.on_measured: Callable[[EvaluationResult], None] = lambda _: None
+
+    def connect(self, machine: SimulatedMachine) -> None:
+        """Take a machine; nothing may move yet."""
+        self.machine = machine
+        self._last = self._now()
+        self.deactivate("the machine's node is not active")
+
+    def disconnect(self) -> None:
+        """Let the machine go."""
+        self.deactivate("the machine's node is not configured")
+        self.machine = None
+
+    def activate(self) -> None:
+        """Allow motion."""
+        self._inactive = ""
+
+    def deactivate(self, reason: str) -> None:
+        """Stop what moves, and allow no motion, for this reason."""
+        self._inactive = reason
+        self.hold()
+
+    @property
+    def active(self) -> bool:
+        """Whether motion is allowed."""
+        return not self._inactive
 
     def refusal(self) -> Failure | None:
-        """Nothing keeps this machine from moving."""
+        """Why nothing may be moved now by an action."""
+        self.advance()  # a device may have arrived in the meantime
+        refusal = self.direct_refusal()
+        if refusal is None and self.machine is not None and self.machine.busy:
+            return Failure(_Result.BUSY, "a device is being moved by its set-point topic")
+        return refusal
+
+    def direct_refusal(self) -> Failure | None:
+        """Why no single device may be moved now."""
+        if self._inactive or self.machine is None:
+            return Failure(_Result.NOT_ACTIVE, f"{self._inactive}; nothing may move")
+        if self.machine.interlock:
+            return Failure(_Result.INTERLOCK, self.machine.interlock)
         return None
 
     def readbacks(self) -> Sequence[msg.NamedValue]:
         """Where the machine is now."""
-        return named_values(self._machine.readbacks(), self._units)
+        values = (
+            dict.fromkeys(self._units, math.nan)
+            if self.machine is None
+            else self.machine.readbacks()
+        )
+        return named_values(values, self._units)
 
     def hold(self) -> None:
         """Stop where the machine is; a running measurement ends."""
-        self._machine.stop()
+        if self.machine is not None:
+            self.machine.stop()
+
+    def advance(self) -> None:
+        """Let the time that has passed since the last call pass in the machine too."""
+        now = self._now()
+        due, self._last = max(0.0, now - self._last) * self._speed, now
+        deadline = time.perf_counter() + STEP_BUDGET
+        while self.machine is not None and due > 0.0 and time.perf_counter() < deadline:
+            part = min(due, max(self.machine.time_to_next_event, SHORTEST_PAUSE))
+            self.machine.step(part)
+            self.simulated_time += part
+            due -= part
+        self.on_step()
 
     async def move(self, setpoint: Mapping[str, float], operation: Operation) -> Failure | None:
         """Ramp to a set-point and settle there."""
-        self._machine.move(setpoint)
-        ramp, settle = self._machine.time_to_ramped, self._machine.time_to_settled
+        machine = self.machine
+        assert machine is not None
+        self.advance()  # what has passed until now is not part of the move
+        machine.move(setpoint)
+        ramp, settle = machine.time_to_ramped, machine.time_to_settled
 
         def report() -> float:
-            ramping, remaining = self._machine.time_to_ramped, self._machine.time_to_settled
+            ramping, remaining = machine.time_to_ramped, machine.time_to_settled
             if ramping > 0.0:
                 operation.progress(RAMPING, 1.0 - ramping / ramp)
             elif remaining > 0.0:
@@ -75,41 +162,57 @@ class SimulatedBackend:
             return remaining
 
         await self._drive(report, operation)
-        return None
+        return Failure(_Result.INTERLOCK, machine.interlock) if machine.interlock else None
 
     async def measure(self, shots: int, operation: Operation) -> Measurement:
         """Average over some shots."""
-        evaluation = self._machine.start_evaluation(
-            self._machine.setpoint, shots or None, operation.shot
-        )
+        machine = self.machine
+        assert machine is not None
+
+        def take(shot: Shot) -> None:
+            self.on_shot(shot)
+            operation.shot(shot.measured)
+
+        try:
+            evaluation = machine.measure(shots or None, take)
+        except InterlockError as error:
+            return Measurement(failure=Failure(_Result.INTERLOCK, str(error)))
 
         def report() -> float:
-            operation.progress(MEASURING, evaluation.fraction)
-            return 0.0 if evaluation.phase.finished else evaluation.duration - evaluation.elapsed
+            operation.progress(MEASURING, evaluation.taken / evaluation.shots)
+            if evaluation.phase.finished:
+                return 0.0
+            return max(evaluation.remaining, SHORTEST_PAUSE)
 
         await self._drive(report, operation)
-        self._machine.stop()
+        machine.stop()
         result = evaluation.result
         assert result is not None
+        self.on_measured(result)
         return Measurement(
             readbacks=_messages(result.readbacks),
-            diagnostics=_messages(result.diagnostics) if result.shots else (),
+            diagnostics=_messages(d for d in result.diagnostics if not math.isnan(d.value)),
             shots=result.shots,
+            failure=_failure(result),
         )
 
     async def _drive(self, report: Callable[[], float], operation: Operation) -> None:
         """Let time pass until `report`, the simulated time that is left, is 0, or interrupted."""
-        last = time.monotonic()
         while (remaining := report()) > 0.0 and not operation.interrupt.done():
-            pause = min(remaining / self._speed, STEP_PERIOD)
+            pause = min(max(remaining / self._speed, SHORTEST_PAUSE), STEP_PERIOD)
             if await first_of(self._node, operation.interrupt, timeout=pause) is not None:
                 return
-            now = time.monotonic()
-            self._machine.step((now - last) * self._speed)
-            last = now
+            self.advance()
 
 
-def _messages(readings: Sequence[Reading]) -> list[msg.NamedValue]:
+def _messages(readings: Iterable[Reading]) -> list[msg.NamedValue]:
     return [
         msg.NamedValue(name=r.name, value=r.value, stddev=r.stddev, unit=r.unit) for r in readings
     ]
+
+
+def _failure(result: EvaluationResult) -> Failure | None:
+    if result.failure is None:
+        return None
+    code = _CODES.get(result.failure.cause, _Result.INVALID_MEASUREMENT)
+    return Failure(code, result.failure.message)

@@ -9,8 +9,8 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from awa_sim_node.machine import describe
-from awa_sim_node.parameters import AWA_SIM
+from awa_sim_node.machine import Mode, behaviour_of, describe
+from awa_sim_node.parameters import AWA_SIM, behaviour_specs
 from mobo_tuner.core.parameter_file import load_yaml
 from mobo_tuner.core.problem import Problem, ProblemError
 from mobo_tuner.ros.parameters import CONSOLE, RECORDER, TUNER, ParameterSpec, check_section
@@ -18,7 +18,7 @@ from mobo_tuner.ros.parameters import CONSOLE, RECORDER, TUNER, ParameterSpec, c
 NODES: Mapping[str, tuple[ParameterSpec, ...]] = {
     "tuner": TUNER,
     "recorder": RECORDER,
-    "awa_sim": AWA_SIM,
+    "awa_sim": (*AWA_SIM, *behaviour_specs("awa", "nominal")),
     "console": CONSOLE,
 }
 
@@ -42,6 +42,8 @@ def check(path: str) -> Problem:
                 f"the section '{key}' is unknown; allowed are /**, {', '.join(NODES)}"
             )
         values[name] = check_section(name, _parameters(key, section), NODES[name])
+        if name == "awa_sim":
+            _check_behaviour(values[name], _parameters(key, section))
     problem = Problem.from_dict(content)
     machine = describe(str(values["awa_sim"]["model"]))
     problem.check_machine(
@@ -50,6 +52,15 @@ def check(path: str) -> Problem:
         {v.name: v.unit for v in machine.variables},
     )
     return problem
+
+
+def _check_behaviour(values: Mapping[str, Any], given: Mapping[str, Any]) -> None:
+    """Check what is given of the behaviour together with the mode's defaults."""
+    behaviour = behaviour_of(values["model"], Mode(values["mode"]))
+    try:
+        behaviour.changed({name: given[name] for name in behaviour.values if name in given})
+    except ValueError as error:
+        raise ProblemError(f"awa_sim.{error}") from None
 
 
 def _parameters(key: str, section: object) -> Mapping[str, Any]:

@@ -1,7 +1,8 @@
 """One actuator: a power supply or an rf phase shifter that takes its time to get where it is told.
 
-Three things are kept apart, as on a real machine: the *target* it was told, the *position* it has
-(and what the beam feels), and the *readback*, which is the position as its own instrument shows it.
+Four things are kept apart, as on a real machine: the *target* it was told, the *position* it has, the
+*readback*, which is the position as its own instrument shows it, and the *strength* that the beam
+feels, which lags behind the position where there is hysteresis.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+
+from awa_sim_node.machine.parameter import parameter
 
 # Reaching a computed event time must not fail for the last bit of a float.
 _ROUNDING = 1e-9
@@ -24,12 +27,16 @@ class ActuatorParameters:
         time_constant: Time constant of the lag of the position behind the reference [s].
         tolerance: Distance from the target within which the actuator counts as settled [unit].
         readback_noise: Standard deviation of one readback [unit].
+        hysteresis: Width of the play between position and strength [unit].
     """
 
-    slew_rate: float
-    time_constant: float
-    tolerance: float
-    readback_noise: float
+    slew_rate: float = parameter("greatest speed [unit/s]", 1e-3, 1e6)
+    time_constant: float = parameter("time constant of the lag [s]", 0.0, 1e3)
+    tolerance: float = parameter("distance from the target that counts as settled [unit]", 1e-6, 10)
+    readback_noise: float = parameter("standard deviation of one readback [unit]", 0.0, 10)
+    hysteresis: float = parameter(
+        "what the beam feels lags behind by up to half of it [unit]", 0, 10
+    )
 
     def __post_init__(self) -> None:
         """Check the values; ValueError if one of them makes no sense."""
@@ -41,10 +48,12 @@ class ActuatorParameters:
             raise ValueError(f"tolerance = {self.tolerance} must be greater than 0")
         if not self.readback_noise >= 0.0:
             raise ValueError(f"readback_noise = {self.readback_noise} must be at least 0")
+        if not (self.hysteresis >= 0.0 and math.isfinite(self.hysteresis)):
+            raise ValueError(f"hysteresis = {self.hysteresis} must be finite and at least 0")
 
 
 INSTANTANEOUS = ActuatorParameters(
-    slew_rate=math.inf, time_constant=0.0, tolerance=1e-12, readback_noise=0.0
+    slew_rate=math.inf, time_constant=0.0, tolerance=1e-12, readback_noise=0.0, hysteresis=0.0
 )
 
 
@@ -55,6 +64,9 @@ class Actuator:
     lag, dp/dt = (r - p) / tau. Both are advanced by their exact solution, so that the motion does
     not depend on the length of the steps. Once the reference has arrived and the position is within
     the tolerance, the actuator is settled and its control loop holds it on the target.
+
+    Hysteresis is a play operator (M. Brokate and J. Sprekels, Hysteresis and Phase Transitions,
+    sec. 2.1): the position drags the strength along at a distance of half the play's width.
     """
 
     def __init__(self, parameters: ActuatorParameters, position: float) -> None:
@@ -63,6 +75,7 @@ class Actuator:
         self._target = position
         self._reference = position
         self._position = position
+        self._strength = position
 
     @property
     def parameters(self) -> ActuatorParameters:
@@ -76,8 +89,13 @@ class Actuator:
 
     @property
     def position(self) -> float:
-        """Where the actuator is, and what the beam feels."""
+        """Where the actuator is."""
         return self._position
+
+    @property
+    def strength(self) -> float:
+        """What the beam feels."""
+        return self._strength
 
     @property
     def ramping(self) -> bool:
@@ -118,6 +136,21 @@ class Actuator:
         """Advance by ``dt`` >= 0 seconds."""
         if self.settled:
             return
+        turn = self._time_to_turn()
+        if 0.0 < turn < dt:
+            # The turning point is the farthest that the position gets: the play must see it.
+            self._advance(turn)
+            dt -= turn
+        self._advance(dt)
+
+    def _advance(self, dt: float) -> None:
+        """Advance by ``dt`` seconds in which the position does not turn round."""
+        self._follow(dt)
+        play = 0.5 * self._parameters.hysteresis
+        self._strength = min(max(self._strength, self._position - play), self._position + play)
+
+    def _follow(self, dt: float) -> None:
+        """Advance reference and position."""
         ramp = self.time_to_ramped
         if dt < ramp * (1.0 - _ROUNDING):
             lag = self._lag_after(dt)
@@ -132,6 +165,21 @@ class Actuator:
     def readback(self, rng: np.random.Generator) -> float:
         """Return the position as the actuator's own instrument shows it, noise included."""
         return self._position + self._parameters.readback_noise * float(rng.standard_normal())
+
+    def _time_to_turn(self) -> float:
+        """Return when the position turns round during the ramp [s]; infinite if it does not.
+
+        It does where it still runs one way while the reference already goes the other: at the
+        moment when the two meet.
+        """
+        if not self.ramping or self._parameters.time_constant == 0.0:
+            return math.inf
+        final = self._velocity * self._parameters.time_constant
+        lag = self._reference - self._position
+        if lag * final >= 0.0:
+            return math.inf
+        turn = self._parameters.time_constant * math.log1p(-lag / final)
+        return turn if turn < self.time_to_ramped else math.inf
 
     @property
     def _velocity(self) -> float:

@@ -41,16 +41,12 @@ class MachineDescription:
         title: What the machine is, in a few words.
         variables: The settings, in the machine's order.
         diagnostics: The measured quantities, in the machine's order.
-        repetition_rate: Shots per second of simulated time [Hz].
-        shots: Shots averaged by an evaluation that asks for no number of its own.
     """
 
     name: str
     title: str
     variables: tuple[Variable, ...]
     diagnostics: tuple[Diagnostic, ...]
-    repetition_rate: float
-    shots: int
 
     def variable(self, name: str) -> Variable:
         """Return the variable called ``name``; ``KeyError`` if there is none."""

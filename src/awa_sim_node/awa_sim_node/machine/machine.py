@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from enum import StrEnum
 from typing import Final
 
 import numpy as np
 
-from awa_sim_node.machine.actuator import Actuator
-from awa_sim_node.machine.description import MachineDescription, Variable
-from awa_sim_node.machine.diagnostics import NOISELESS, Reading, average
-from awa_sim_node.machine.evaluation import Evaluation, EvaluationResult, Phase
+from awa_sim_node.machine.actuators import Actuators
+from awa_sim_node.machine.beam import Beam, Shot, ShotStatus
+from awa_sim_node.machine.behaviour import Behaviour, Mode
+from awa_sim_node.machine.description import MachineDescription
+from awa_sim_node.machine.evaluation import Cause, Evaluation, EvaluationFailure, Phase
+from awa_sim_node.machine.interlock import Interlock
 from awa_sim_node.machine.models import Model, create_model
+from awa_sim_node.machine.trips import Trips
 
 MAX_SHOTS: Final = 10_000
 
@@ -25,33 +27,32 @@ MAX_SHOTS: Final = 10_000
 _INSTANT: Final = 1e-9
 
 
-class Mode(StrEnum):
-    """How well the machine behaves: ``ideal`` has no noise, ``nominal`` that of a good day."""
-
-    IDEAL = "ideal"
-    NOMINAL = "nominal"
-
-
 class SimulatedMachine:
-    """A machine that takes its time and measures with noise.
+    """A machine that takes its time, measures with noise, and has its bad moments.
 
-    It does one thing at a time: an evaluation (``start_evaluation``) or a mere ``move``. Equal
-    seeds and equal orders give equal results, however time is cut into steps and however often the
-    readbacks are looked at.
+    It does one thing at a time: an evaluation (``start_evaluation``), a measurement where it stands
+    (``measure``) or a mere ``move``. Equal seeds and equal orders give equal results, however often
+    the readbacks are looked at; without drift and trips, also however time is cut into steps.
     """
 
     def __init__(
-        self, model: str | Model = "awa", mode: str = Mode.NOMINAL, seed: int | None = None
+        self,
+        model: str | Model = "awa",
+        mode: str = Mode.NOMINAL,
+        seed: int | None = None,
+        parameters: Mapping[str, float] | None = None,
     ) -> None:
         """Switch the machine on, at its initial set-point and at rest.
 
         Args:
             model: Name of the model, or the model itself.
-            mode: ``ideal`` or ``nominal``.
-            seed: Seed of all noise; None takes one from the operating system.
+            mode: ``ideal``, ``nominal`` or ``rough``: the defaults of all parameters.
+            seed: Seed of all chance; None takes one from the operating system.
+            parameters: Parameters of the behaviour that differ from the mode's, by name.
 
         Raises:
-            ValueError: If the model or the mode is not known, or the seed is negative.
+            ValueError: If the model, the mode or a parameter is not known or not allowed, or the
+                seed is negative.
         """
         if mode not in list(Mode):
             raise ValueError(f"mode = {mode!r} must be one of {', '.join(Mode)}")
@@ -59,20 +60,29 @@ class SimulatedMachine:
             raise ValueError(f"seed = {seed} must be at least 0")
         self._model = create_model(model) if isinstance(model, str) else model
         self._mode = Mode(mode)
-        # Two streams: looking at readbacks must not change what is measured.
-        shots, looks = np.random.SeedSequence(seed).spawn(2)
+        self._behaviour = self._model.modes[self._mode].changed(parameters or {})
+        # Streams of their own: looking at readbacks must not change what is measured.
+        shots, looks, drift, trips = np.random.SeedSequence(seed).spawn(4)
         self._shot_rng = np.random.default_rng(shots)
         self._look_rng = np.random.default_rng(looks)
-        self._actuators = {
-            variable.name: Actuator(self._model.actuators[variable.name], variable.initial)
-            for variable in self.description.variables
-        }
+        self._actuators = Actuators(self.description, self._model.kinds, self._behaviour)
+        self._beam = Beam(
+            self._model,
+            self._behaviour.beam,
+            self._behaviour.jitter,
+            self._behaviour.drift,
+            np.random.default_rng(drift),
+        )
+        gun = self._model.gun
+        greatest = self.description.variable(gun).maximum if gun else -math.inf
+        self._trips = (
+            Trips(self._behaviour.trip, greatest, np.random.default_rng(trips)) if gun else None
+        )
+        self._interlock = Interlock(self._behaviour.interlock)
         self._time = 0.0
         self._evaluation: Evaluation | None = None
-        self._true_values: dict[str, float] = {}
-        self._shots: dict[str, list[float]] = {}
-        self._on_shot: Callable[[dict[str, float]], None] | None = None
         self._time_to_shot = math.inf
+        self._on_shot: Callable[[Shot], None] | None = None
 
     @property
     def description(self) -> MachineDescription:
@@ -85,6 +95,11 @@ class SimulatedMachine:
         return self._mode
 
     @property
+    def behaviour(self) -> Behaviour:
+        """All parameters of how it behaves."""
+        return self._behaviour
+
+    @property
     def time(self) -> float:
         """Simulated time since the machine was switched on [s]."""
         return self._time
@@ -92,45 +107,70 @@ class SimulatedMachine:
     @property
     def setpoint(self) -> dict[str, float]:
         """Where every variable was told to be."""
-        return {name: actuator.target for name, actuator in self._actuators.items()}
+        return self._actuators.targets
 
     @property
     def settled(self) -> bool:
         """Whether every actuator rests on its target."""
-        return all(actuator.settled for actuator in self._actuators.values())
+        return self._actuators.all_settled
+
+    @property
+    def settled_variables(self) -> dict[str, bool]:
+        """Whether the actuator of each variable rests on its target."""
+        return self._actuators.settled
 
     @property
     def time_to_ramped(self) -> float:
         """Simulated time until every actuator has stopped ramping [s]; 0 if none does."""
-        return max(actuator.time_to_ramped for actuator in self._actuators.values())
+        return self._actuators.time_to_ramped
 
     @property
     def time_to_settled(self) -> float:
         """Simulated time until every actuator rests on its target [s]; 0 if all do."""
-        return max(actuator.time_to_settled for actuator in self._actuators.values())
+        return self._actuators.time_to_settled
+
+    @property
+    def measuring(self) -> bool:
+        """Whether an evaluation or a measurement runs."""
+        return self._running is not None
 
     @property
     def busy(self) -> bool:
         """Whether something moves or an evaluation runs."""
-        return self._running is not None or not self.settled
+        return self.measuring or not self.settled
+
+    @property
+    def tripped(self) -> bool:
+        """Whether there is no beam because the gun has tripped."""
+        return self._trips is not None and self._trips.tripped
+
+    @property
+    def trips(self) -> int:
+        """Number of trips since the machine was switched on."""
+        return 0 if self._trips is None else self._trips.count
+
+    @property
+    def interlock(self) -> str:
+        """Why the interlock is raised, in one sentence; empty where it is not."""
+        return self._interlock.reason
 
     @property
     def time_to_next_event(self) -> float:
-        """Simulated time until a phase ends, an actuator settles or a shot is taken [s].
+        """Simulated time until a phase ends, an actuator settles, a shot is due or a trip may come.
 
-        It is infinite when the machine rests.
+        It is infinite when the machine rests and nothing can happen to it [s].
         """
-        times = [self._time_to_shot]
-        for actuator in self._actuators.values():
-            if not actuator.settled:
-                times.append(
-                    actuator.time_to_ramped if actuator.ramping else actuator.time_to_settled
-                )
-        return min(times)
+        trips = math.inf if self._trips is None else self._trips.time_to_next_event
+        return min(self._time_to_shot, self._actuators.time_to_next_event, trips)
 
     def readbacks(self) -> dict[str, float]:
         """Return every variable as its own instrument shows it now."""
-        return {name: self._readback(name, self._look_rng) for name in self._actuators}
+        return self._actuators.readbacks(self._look_rng)
+
+    def spread(self) -> dict[str, float]:
+        """Return the model's own uncertainty of each diagnostic of the latest shot, if it has any."""
+        inputs = self._beam.latest_inputs
+        return self._model.spread(inputs) if inputs else {}
 
     def move(self, setpoint: Mapping[str, float]) -> float:
         """Start moving to ``setpoint``, without measuring there.
@@ -144,29 +184,40 @@ class SimulatedMachine:
         Raises:
             ValueError: If a variable is missing, unknown, not finite or outside its limits; nothing
                 moves.
-            RuntimeError: If the machine is busy; nothing changes.
+            RuntimeError: If the machine is busy; InterlockError, which is one, if the interlock is
+                raised. Nothing changes.
         """
-        targets = self._checked(setpoint)
-        if self.busy:
-            raise RuntimeError(
-                "the machine is busy: stop it, or let it finish, before it moves again"
-            )
-        for name, target in targets.items():
-            self._actuators[name].set(target)
+        targets = self._actuators.checked(setpoint)
+        self._check_free()
+        self._interlock.check()
+        self._actuators.set(targets)
         return self.time_to_settled
+
+    def set(self, name: str, value: float) -> None:
+        """Set one variable, whether or not it or others move; the others go on.
+
+        Raises:
+            ValueError: If the variable is unknown, or the value not finite or outside its limits.
+            RuntimeError: If an evaluation runs; InterlockError if the interlock is raised.
+        """
+        target = self._actuators.checked({name: value}, partial=True)
+        if self.measuring:
+            raise RuntimeError("an evaluation is running; nothing else may move the machine")
+        self._interlock.check()
+        self._actuators.set(target)
 
     def start_evaluation(
         self,
         setpoint: Mapping[str, float],
         shots: int | None = None,
-        on_shot: Callable[[dict[str, float]], None] | None = None,
+        on_shot: Callable[[Shot], None] | None = None,
     ) -> Evaluation:
         """Start an evaluation: go to ``setpoint``, settle, and average some shots.
 
         Args:
             setpoint: One value for each variable, in its unit.
             shots: Number of shots to average; None for the machine's usual number.
-            on_shot: Is given the diagnostics of every shot, and may ``stop`` the machine.
+            on_shot: Is given every shot, retaken ones too, and may ``stop`` the machine.
 
         Returns:
             The evaluation; ``step`` drives it on, and its ``result`` is there once it is finished.
@@ -174,19 +225,31 @@ class SimulatedMachine:
         Raises:
             ValueError: If the set-point is not allowed (see ``move``), or the shots are not from 1
                 to ``MAX_SHOTS``; nothing moves.
-            RuntimeError: If the machine is busy; nothing changes.
+            RuntimeError: If the machine is busy or its interlock raised; nothing changes.
         """
-        count = self.description.shots if shots is None else shots
-        if not 1 <= count <= MAX_SHOTS:
-            raise ValueError(f"shots = {count} must be from 1 to {MAX_SHOTS}")
-        settling = self.move(setpoint)
-        duration = settling + count / self.description.repetition_rate
-        self._evaluation = Evaluation(self.setpoint, count, duration)
-        self._shots = {name: [] for name in self._actuators}
-        self._on_shot = on_shot
-        self._shots |= {diagnostic.name: [] for diagnostic in self.description.diagnostics}
-        self._advance_phase(self._evaluation)
-        return self._evaluation
+        count = self._checked_shots(shots)
+        return self._start(count, self.move(setpoint), on_shot)
+
+    def measure(
+        self, shots: int | None = None, on_shot: Callable[[Shot], None] | None = None
+    ) -> Evaluation:
+        """Average some shots where the machine stands; see ``start_evaluation``."""
+        count = self._checked_shots(shots)
+        self._check_free()
+        self._interlock.check()
+        return self._start(count, 0.0, on_shot)
+
+    def free_shot(self) -> Shot | None:
+        """Take a shot outside an evaluation, as the beam runs all the time; None without beam."""
+        if self.measuring or self.tripped or self._interlock.raised:
+            return None
+        shot = self._beam.shot(self._time, self._actuators.strengths, self._look_rng)
+        self._watch_losses(shot)
+        return shot
+
+    def clear_interlock(self) -> None:
+        """Allow the machine to move again."""
+        self._interlock.clear()
 
     def step(self, dt: float) -> None:
         """Let ``dt`` seconds of simulated time pass.
@@ -204,8 +267,7 @@ class SimulatedMachine:
 
     def stop(self) -> None:
         """Stop at once: actuators hold where they are, a running evaluation ends as ``stopped``."""
-        for actuator in self._actuators.values():
-            actuator.hold()
+        self._actuators.hold()
         evaluation = self._running
         if evaluation is not None:
             self._finish(evaluation, Phase.STOPPED)
@@ -216,101 +278,108 @@ class SimulatedMachine:
         evaluation = self._evaluation
         return None if evaluation is None or evaluation.phase.finished else evaluation
 
+    def _check_free(self) -> None:
+        if self.busy:
+            raise RuntimeError(
+                "the machine is busy: stop it, or let it finish, before it moves again"
+            )
+
+    def _checked_shots(self, shots: int | None) -> int:
+        count = self._behaviour.beam.shots if shots is None else shots
+        if not 1 <= count <= MAX_SHOTS:
+            raise ValueError(f"shots = {count} must be from 1 to {MAX_SHOTS}")
+        return count
+
+    def _start(
+        self, shots: int, settling: float, on_shot: Callable[[Shot], None] | None
+    ) -> Evaluation:
+        duration = settling + shots * self._period
+        self._evaluation = Evaluation(self.setpoint, shots, duration)
+        self._on_shot = on_shot
+        self._advance_phase(self._evaluation)
+        return self._evaluation
+
+    @property
+    def _period(self) -> float:
+        """Time from shot to shot [s]."""
+        return 1.0 / self._behaviour.beam.repetition_rate
+
     def _pass(self, dt: float) -> None:
         """Let ``dt`` seconds pass, within which nothing happens but at their end."""
         self._time += dt
-        for actuator in self._actuators.values():
-            actuator.step(dt)
+        self._actuators.step(dt)
+        without_beam = self.tripped
+        if self._trips is not None:
+            self._trips.step(dt, self._actuators[self._model.gun].position)
         self._time_to_shot -= dt
         evaluation = self._running
         if evaluation is not None:
             evaluation.elapsed += dt
+            if without_beam and evaluation.phase is Phase.MEASURE:
+                evaluation.waited += dt
+                evaluation.without_beam += dt
             self._advance_phase(evaluation)
 
     def _advance_phase(self, evaluation: Evaluation) -> None:
-        """Bring the phase up to date with the actuators and the shots."""
-        if evaluation.phase is Phase.RAMP and not any(a.ramping for a in self._actuators.values()):
+        """Bring the phase up to date with the actuators, the gun and the shots."""
+        if evaluation.phase is Phase.RAMP and not self._actuators.ramping:
             evaluation.phase = Phase.SETTLE
         if evaluation.phase is Phase.SETTLE and self.settled:
             evaluation.phase = Phase.MEASURE
-            self._true_values = self._model.true_values(self._positions())
-            self._time_to_shot = 1.0 / self.description.repetition_rate
-        if evaluation.phase is Phase.MEASURE and self._time_to_shot <= _INSTANT:
-            self._time_to_shot += 1.0 / self.description.repetition_rate
-            self._take_shot()
-            if self._shots_taken == evaluation.shots and not evaluation.phase.finished:
-                self._finish(evaluation, Phase.DONE)
+            self._time_to_shot = self._period
+        if evaluation.phase is not Phase.MEASURE:
+            return
+        if self.tripped:
+            self._time_to_shot = self._period  # from the moment when the beam is back
+            if evaluation.without_beam >= self._behaviour.trip.patience:
+                self._fail(evaluation, Cause.TRIP, "the gun tripped, and there is no beam")
+        elif self._time_to_shot <= _INSTANT:
+            self._time_to_shot += self._period
+            self._take_shot(evaluation)
 
-    @property
-    def _shots_taken(self) -> int:
-        return len(self._shots[self.description.variables[0].name])
-
-    def _take_shot(self) -> None:
-        """Add one measured value to every variable and diagnostic."""
-        for name in self._actuators:
-            self._shots[name].append(self._readback(name, self._shot_rng))
-        shot = {}
-        for diagnostic in self.description.diagnostics:
-            noise = NOISELESS if self._mode is Mode.IDEAL else self._model.noise[diagnostic.name]
-            value = noise.shot(self._true_values[diagnostic.name], self._shot_rng)
-            self._shots[diagnostic.name].append(value)
-            shot[diagnostic.name] = value
+    def _take_shot(self, evaluation: Evaluation) -> None:
+        """Take one shot of an evaluation, and see what comes of it."""
+        shot = self._beam.shot(self._time, self._actuators.strengths, self._shot_rng)
+        if shot.status is ShotStatus.RETAKEN:
+            evaluation.retaken += 1
+            evaluation.waited += self._period
+        else:
+            evaluation.add(shot, self._actuators.readbacks(self._shot_rng))
         if self._on_shot is not None:
             self._on_shot(shot)
+        self._watch_losses(shot)
+        if evaluation.phase.finished:
+            return
+        if evaluation.complete:
+            failure = evaluation.verdict(self.description)
+            self._finish(evaluation, Phase.FAILED if failure else Phase.DONE, failure)
+        elif evaluation.retaken > self._behaviour.beam.retakes * evaluation.shots:
+            self._fail(
+                evaluation,
+                Cause.CHARGE,
+                f"the charge of {evaluation.retaken} shots was off its target of "
+                f"{self._behaviour.beam.charge:g} nC by more than "
+                f"{100.0 * self._behaviour.beam.charge_window:g} %",
+            )
 
-    def _finish(self, evaluation: Evaluation, phase: Phase) -> None:
+    def _watch_losses(self, shot: Shot) -> None:
+        """Raise the interlock where losses last, and stop everything then."""
+        if shot.status in (ShotStatus.GOOD, ShotStatus.LOST):
+            self._interlock.see(shot.status is ShotStatus.LOST)
+        if not self._interlock.raised:
+            return
+        self._actuators.hold()
+        evaluation = self._running
+        if evaluation is not None:
+            self._fail(evaluation, Cause.INTERLOCK, self._interlock.reason)
+
+    def _fail(self, evaluation: Evaluation, cause: Cause, message: str) -> None:
+        self._finish(evaluation, Phase.FAILED, EvaluationFailure(cause, message))
+
+    def _finish(
+        self, evaluation: Evaluation, phase: Phase, failure: EvaluationFailure | None = None
+    ) -> None:
         """End the evaluation with what was measured so far."""
         self._time_to_shot = math.inf
-        if self._shots_taken == 0:
-            # Where the machine was stopped is worth knowing even if no shot was taken there.
-            for name in self._actuators:
-                self._shots[name].append(self._readback(name, self._shot_rng))
-            taken = 0
-        else:
-            taken = self._shots_taken
-        evaluation.result = EvaluationResult(
-            readbacks=tuple(self._reading(v.name, v.unit) for v in self.description.variables),
-            diagnostics=tuple(self._reading(d.name, d.unit) for d in self.description.diagnostics),
-            shots=taken,
-            duration=evaluation.elapsed,
-        )
-        evaluation.phase = phase
-
-    def _reading(self, name: str, unit: str) -> Reading:
-        value, stddev = average(self._shots[name])
-        return Reading(name, value, stddev, unit)
-
-    def _readback(self, name: str, rng: np.random.Generator) -> float:
-        actuator = self._actuators[name]
-        return actuator.position if self._mode is Mode.IDEAL else actuator.readback(rng)
-
-    def _positions(self) -> dict[str, float]:
-        return {name: actuator.position for name, actuator in self._actuators.items()}
-
-    def _checked(self, setpoint: Mapping[str, float]) -> dict[str, float]:
-        """Return the set-point in the machine's order; ValueError if it is not allowed."""
-        variables = self.description.variables
-        names = ", ".join(variable.name for variable in variables)
-        unknown = sorted(set(setpoint) - set(self._actuators))
-        if unknown:
-            raise ValueError(
-                f"set-point names {unknown[0]!r}, but the machine's variables are {names}"
-            )
-        missing = [variable.name for variable in variables if variable.name not in setpoint]
-        if missing:
-            raise ValueError(
-                f"set-point lacks {missing[0]!r}; it must name all of the variables {names}"
-            )
-        return {variable.name: _within(variable, setpoint[variable.name]) for variable in variables}
-
-
-def _within(variable: Variable, value: float) -> float:
-    """Return ``value`` as a float; ValueError if it is outside the limits of ``variable``."""
-    number = float(value)
-    if not variable.minimum <= number <= variable.maximum:
-        unit = f" {variable.unit}" if variable.unit else ""
-        raise ValueError(
-            f"set-point {variable.name} = {number:g}{unit} is outside the machine's limits, "
-            f"{variable.minimum:g} to {variable.maximum:g}{unit}"
-        )
-    return number
+        where = {} if evaluation.taken else self._actuators.readbacks(self._shot_rng)
+        evaluation.finish(self.description, phase, failure, where)

@@ -7,42 +7,49 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar, Final
 
-from awa_sim_node.machine.actuator import INSTANTANEOUS, ActuatorParameters
+from awa_sim_node.machine.behaviour import AWA, TOY, Behaviour, Mode
 from awa_sim_node.machine.description import Diagnostic, MachineDescription, Variable
 from awa_sim_node.machine.diagnostics import ShotNoise
+from awa_sim_node.machine.kind import Kind
 from awa_sim_node.surrogate import metadata
 
 
 class Model(ABC):
-    """What the beam does at given actuator positions, and how the machine around it behaves.
+    """What the beam does where it feels given inputs, and what kind of machine is around it.
 
     Attributes:
         description: Names, units and limits.
-        actuators: How each variable moves.
-        noise: The noise of each diagnostic in one shot, in mode ``nominal``.
+        kinds: What each input is: every variable, and what else the beam depends on.
+        ranges: Where the model answers; the inputs that are not named have no bounds.
+        noise: The noise of each diagnostic in one shot on a good day.
+        images: Diagnostics that are lost together where an image cannot be evaluated.
+        gun: The variable that the rate of trips follows; empty where nothing trips.
+        modes: How the machine behaves in each mode.
     """
 
     description: ClassVar[MachineDescription]
-    actuators: ClassVar[Mapping[str, ActuatorParameters]]
+    kinds: ClassVar[Mapping[str, Kind]]
+    ranges: ClassVar[Mapping[str, tuple[float, float]]] = {}
     noise: ClassVar[Mapping[str, ShotNoise]]
+    images: ClassVar[tuple[tuple[str, ...], ...]] = ()
+    gun: ClassVar[str] = ""
+    modes: ClassVar[Mapping[Mode, Behaviour]]
 
     @abstractmethod
-    def true_values(self, positions: Mapping[str, float]) -> dict[str, float]:
-        """Return the true value of every diagnostic at the given actuator positions."""
+    def true_values(self, inputs: Mapping[str, float]) -> dict[str, float]:
+        """Return the true value of every diagnostic, in the description's order."""
 
-
-_SOLENOID = ActuatorParameters(slew_rate=8.0, time_constant=1.5, tolerance=0.1, readback_noise=0.05)
-_PHASE = ActuatorParameters(slew_rate=7.0, time_constant=0.16, tolerance=0.05, readback_noise=0.02)
-_GRADIENT = ActuatorParameters(
-    slew_rate=1.0, time_constant=1.25, tolerance=0.05, readback_noise=0.01
-)
+    def spread(self, inputs: Mapping[str, float]) -> dict[str, float]:
+        """Return how uncertain the model itself is of each diagnostic; empty where it is exact."""
+        del inputs
+        return {}
 
 
 class AwaModel(Model):
-    """The AWA-like injector: the trained surrogate, with the delays and the noise of a real one.
+    """The AWA-like injector: the trained surrogate, with the noise of real instruments.
 
-    The delays and noises are assumptions of the size that operators report. Charge and coupler kick
-    are properties of the machine here, not variables.
+    The noises are of the size that operators report. Charge and coupler kick are properties of the
+    machine here, not variables.
     """
 
     description = MachineDescription(
@@ -62,16 +69,19 @@ class AwaModel(Model):
             *(Diagnostic(quantity.name, quantity.unit) for quantity in metadata.OUTPUTS),
             Diagnostic("charge", "nC"),
         ),
-        repetition_rate=1.0,
-        shots=5,
     )
-    actuators: ClassVar[Mapping[str, ActuatorParameters]] = {
-        "K1": _SOLENOID,
-        "K2": _SOLENOID,
-        "phi1": _PHASE,
-        "phi2": _PHASE,
-        "G1": _GRADIENT,
-        "G2": _GRADIENT,
+    kinds: ClassVar[Mapping[str, Kind]] = {
+        "K1": Kind.SOLENOID,
+        "K2": Kind.SOLENOID,
+        "phi1": Kind.PHASE,
+        "phi2": Kind.PHASE,
+        "G1": Kind.GRADIENT,
+        "G2": Kind.GRADIENT,
+        "charge": Kind.CHARGE,
+        "coupler_kick": Kind.FIXED,
+    }
+    ranges: ClassVar[Mapping[str, tuple[float, float]]] = {
+        quantity.name: quantity.training_range for quantity in metadata.INPUTS
     }
     noise: ClassVar[Mapping[str, ShotNoise]] = {
         "sigma_x": ShotNoise(0.02, 0.05),
@@ -85,6 +95,13 @@ class AwaModel(Model):
         "transmission": ShotNoise(0.003),
         "charge": ShotNoise(0.01),
     }
+    images: ClassVar[tuple[tuple[str, ...], ...]] = (
+        ("sigma_x", "sigma_y", "eps_x", "eps_y"),  # the screen
+        ("sigma_z", "eps_z"),  # the streak of the bunch
+        ("dE", "energy"),  # the spectrometer
+    )
+    gun: ClassVar[str] = "G1"
+    modes: ClassVar[Mapping[Mode, Behaviour]] = AWA
 
     def __init__(self) -> None:
         """Load the surrogate."""
@@ -93,10 +110,14 @@ class AwaModel(Model):
 
         self._surrogate = Surrogate.load()
 
-    def true_values(self, positions: Mapping[str, float]) -> dict[str, float]:
+    def true_values(self, inputs: Mapping[str, float]) -> dict[str, float]:
         """Return the surrogate's prediction, and the bunch charge behind the gun [nC]."""
-        values = self._surrogate.predict(positions)
-        return {**values, "charge": metadata.DEFAULT_CHARGE}
+        values = self._surrogate.predict(inputs)
+        return {**values, "charge": inputs.get("charge", metadata.DEFAULT_CHARGE)}
+
+    def spread(self, inputs: Mapping[str, float]) -> dict[str, float]:
+        """Return how much the members of the surrogate's ensemble differ."""
+        return self._surrogate.spread(inputs)
 
 
 _TOY_LIMIT: Final = 2.0
@@ -114,22 +135,18 @@ class ToyModel(Model):
         title="toy problem: the distances to (1, 1) and to (-1, -1)",
         variables=tuple(Variable(name, "", -_TOY_LIMIT, _TOY_LIMIT, 0.0) for name in ("x1", "x2")),
         diagnostics=tuple(Diagnostic(name, "") for name in ("f1", "f2", "g")),
-        repetition_rate=100.0,
-        shots=1,
     )
-    actuators: ClassVar[Mapping[str, ActuatorParameters]] = {
-        "x1": INSTANTANEOUS,
-        "x2": INSTANTANEOUS,
-    }
+    kinds: ClassVar[Mapping[str, Kind]] = {"x1": Kind.EXACT, "x2": Kind.EXACT}
     noise: ClassVar[Mapping[str, ShotNoise]] = {
         "f1": ShotNoise(floor=0.01),
         "f2": ShotNoise(floor=0.01),
         "g": ShotNoise(floor=0.01),
     }
+    modes: ClassVar[Mapping[Mode, Behaviour]] = TOY
 
-    def true_values(self, positions: Mapping[str, float]) -> dict[str, float]:
+    def true_values(self, inputs: Mapping[str, float]) -> dict[str, float]:
         """Return f1, f2 and g."""
-        x1, x2 = positions["x1"], positions["x2"]
+        x1, x2 = inputs["x1"], inputs["x2"]
         return {"f1": math.hypot(x1 - 1.0, x2 - 1.0), "f2": math.hypot(x1 + 1.0, x2 + 1.0), "g": x1}
 
 
@@ -155,6 +172,15 @@ def create_model(name: str) -> Model:
         ValueError: If there is no such model.
     """
     return _model_class(name)()
+
+
+def behaviour_of(name: str, mode: Mode) -> Behaviour:
+    """Return how the machine called ``name`` behaves in ``mode``, quickly: nothing is loaded.
+
+    Raises:
+        ValueError: If there is no such machine.
+    """
+    return _model_class(name).modes[mode]
 
 
 def _model_class(name: str) -> type[Model]:

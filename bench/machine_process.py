@@ -1,0 +1,170 @@
+"""The simulated machine as a process in a ROS domain of its own, with a client to it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.srv import SetParameters
+from rclpy.action import ActionClient
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint
+from mobo_msgs_py.srv import DescribeMachine
+from mobo_tuner.ros.qos import STREAM
+
+ROOT = Path(__file__).resolve().parents[1]
+TIMEOUT = 30.0  # [s] for anything that should happen soon
+
+
+class LostError(Exception):
+    """Something that should have come did not; the message says what."""
+
+
+class MachineProcess:
+    """Starts the machine, and ends it when the `with` block is left.
+
+    Args:
+        environment: holds the ROS domain.
+        parameters: of the node.
+    """
+
+    def __init__(self, environment: Mapping[str, str], parameters: Mapping[str, Any]) -> None:
+        options = [w for name, value in parameters.items() for w in ("-p", f"{name}:={value}")]
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - closed when the block is left
+        self._popen = subprocess.Popen(
+            [sys.executable, "-m", "awa_sim_node.node", "--ros-args", *options],
+            env={**os.environ, **environment},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=self._log,
+            start_new_session=True,
+        )
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=int(environment["ROS_DOMAIN_ID"]))
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self.node = Node("client", context=self._context)
+        self._executor.add_node(self.node)
+        self._evaluate = ActionClient(self.node, EvaluateSetpoint, "evaluate_setpoint")
+        self._apply = ActionClient(self.node, ApplySetpoint, "apply_setpoint")
+        self._services = {
+            "describe_machine": self.node.create_client(DescribeMachine, "describe_machine"),
+            "set_parameters": self.node.create_client(SetParameters, "awa_sim/set_parameters"),
+            "change_state": self.node.create_client(ChangeState, "awa_sim/change_state"),
+        }
+
+    def __enter__(self) -> MachineProcess:
+        self.spin_until(
+            lambda: (
+                self._evaluate.server_is_ready()
+                and self._apply.server_is_ready()
+                and all(client.service_is_ready() for client in self._services.values())
+            ),
+            "the machine",
+        )
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._popen.terminate()
+        try:
+            self._popen.wait(10.0)
+        except subprocess.TimeoutExpired:
+            self._popen.kill()
+            self._popen.wait(10.0)
+        self._executor.shutdown(timeout_sec=1.0)
+        self.node.destroy_node()
+        self._context.try_shutdown()
+        self._log.close()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process has not ended."""
+        return self._popen.poll() is None
+
+    @property
+    def log(self) -> str:
+        """What the machine printed so far."""
+        self._log.seek(0)
+        return self._log.read().decode(errors="replace")
+
+    @property
+    def memory(self) -> float:
+        """What the machine holds in memory [MB]."""
+        pages = int(Path(f"/proc/{self._popen.pid}/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+    @property
+    def open_files(self) -> int:
+        """Number of files, sockets and the like that the machine has open."""
+        return len(os.listdir(f"/proc/{self._popen.pid}/fd"))
+
+    @property
+    def threads(self) -> int:
+        """Number of the machine's threads."""
+        return len(os.listdir(f"/proc/{self._popen.pid}/task"))
+
+    @property
+    def cpu_seconds(self) -> float:
+        """CPU time that the machine has used [s]."""
+        fields = Path(f"/proc/{self._popen.pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def spin_until(
+        self, condition: Callable[[], object], what: str, timeout: float = TIMEOUT
+    ) -> None:
+        """Spin until `condition` holds.
+
+        Raises:
+            LostError: it does not in time, or the machine has ended.
+        """
+        deadline = time.monotonic() + timeout
+        while not condition():
+            if not self.alive:
+                raise LostError(f"the machine ended while waiting for {what}:\n{self.log}")
+            if time.monotonic() > deadline:
+                raise LostError(f"waited {timeout:g} s in vain for {what}")
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def send(self, goal: Any) -> Any:
+        """Send a goal of either action; the handle, once it is accepted."""
+        client = self._apply if isinstance(goal, ApplySetpoint.Goal) else self._evaluate
+        sent = client.send_goal_async(goal)
+        self.spin_until(sent.done, "the answer to a goal")
+        handle = sent.result()
+        if not handle.accepted:
+            raise LostError("a goal was rejected without a reason")
+        return handle
+
+    def result(self, handle: Any) -> Any:
+        """The result of a goal."""
+        future = handle.get_result_async()
+        self.spin_until(future.done, "a result")
+        return future.result().result
+
+    def call(self, name: str, request: Any) -> Any:
+        """The answer of a service: describe_machine, set_parameters or change_state."""
+        future = self._services[name].call_async(request)
+        self.spin_until(future.done, f"the answer of {name}")
+        return future.result()
+
+    def publisher(self, message: type, topic: str) -> Any:
+        """A publisher that the machine has found."""
+        publisher = self.node.create_publisher(message, topic, STREAM)
+        self.spin_until(lambda: publisher.get_subscription_count() > 0, f"who hears {topic}")
+        return publisher

@@ -1,0 +1,53 @@
+"""The beam as plain topics: one `beam/<name>` per diagnostic, one message per shot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from rclpy.node import Node
+from std_msgs.msg import Float64
+
+from awa_sim_node.machine import MachineDescription, Shot
+from mobo_msgs_py import msg
+from mobo_tuner.ros.conversions import named_values
+from mobo_tuner.ros.qos import LATCHED, STREAM
+
+
+class BeamTopics:
+    """Publishes shots, and for tests what was true of them.
+
+    Args:
+        node: whose topics these are.
+        description: of the machine.
+        with_truth: whether the topic `truth` is there.
+    """
+
+    def __init__(self, node: Node, description: MachineDescription, with_truth: bool) -> None:
+        self._node = node
+        self._units = {v.name: v.unit for v in description.variables}
+        self._units |= {d.name: d.unit for d in description.diagnostics}
+        self._shots = {
+            diagnostic.name: node.create_publisher(Float64, f"beam/{diagnostic.name}", STREAM)
+            for diagnostic in description.diagnostics
+        }
+        self._truth = (
+            node.create_publisher(msg.NamedValues, "truth", STREAM) if with_truth else None
+        )
+        self._uncertainty = node.create_publisher(msg.NamedValues, "model_uncertainty", LATCHED)
+
+    def publish(self, shot: Shot) -> None:
+        """Publish one shot; NaN is what was not measured."""
+        for name, value in shot.measured.items():
+            self._shots[name].publish(Float64(data=value))
+        if self._truth is not None:
+            self._truth.publish(self._message({**shot.inputs, **shot.truth}))
+
+    def publish_uncertainty(self, spread: Mapping[str, float]) -> None:
+        """Publish how uncertain the model of the machine is where it is, if it knows."""
+        if spread:
+            self._uncertainty.publish(self._message(spread))
+
+    def _message(self, values: Mapping[str, float]) -> msg.NamedValues:
+        return msg.NamedValues(
+            stamp=self._node.get_clock().now().to_msg(), values=named_values(values, self._units)
+        )
