@@ -1,0 +1,41 @@
+"""What the parts of the tuner's node share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.node import Node
+
+from mobo_tuner.ros.machine_client import MachineClient
+from mobo_tuner.ros.worker import Worker
+from mobo_tuner.tuning.publishers import TunerPublishers
+from mobo_tuner.tuning.status import Status
+
+
+@dataclass(frozen=True)
+class TunerParts:
+    """The node, its parameters, and what everything else works with.
+
+    Attributes:
+        worker: the thread in which the optimiser works, and nobody else.
+    """
+
+    node: Node
+    parameters: Mapping[str, Any]
+    worker: Worker
+    machine: MachineClient
+    publishers: TunerPublishers
+    status: Status
+
+    @property
+    def log(self) -> RcutilsLogger:
+        """The node's logger."""
+        return self.node.get_logger()
+
+    def now(self) -> Time:
+        """The node's time."""
+        return self.node.get_clock().now().to_msg()
