@@ -30,6 +30,7 @@ from mobo_tuner.core.hypervolume import BoxDecomposition
 from mobo_tuner.core.initial_design import initial_design
 from mobo_tuner.core.models import Models, PriorMean
 from mobo_tuner.core.pareto import is_below, is_nondominated
+from mobo_tuner.core.predicted_front import predict_front
 from mobo_tuner.core.presets import OptimizerSettings, make_settings
 from mobo_tuner.core.problem import Array, Problem, ProblemError
 from mobo_tuner.core.proximal import ProximalBiasing
@@ -200,6 +201,36 @@ class Optimizer:
         changed = Optimizer(problem, seed=self.seed, prior_means=self._prior_means, **choices)
         self._tell_all_to(changed)
         return changed
+
+    def predicted_front(self, size: int = 100) -> list[dict[str, Any]]:
+        """The front as the models predict it where nothing was measured yet.
+
+        The models are trained anew for it: nothing that this optimiser asks later depends on it.
+
+        Args:
+            size: most points of the front.
+
+        Returns:
+            Set-point, objectives and their standard deviations (`stddevs`) of each point, in their
+            own units; empty where no evaluation is valid or nothing good is predicted.
+        """
+        if not self.dataset.valid.any():
+            return []
+        models = Models(self.problem, self.settings, self.seed, self._prior_means)
+        models.update(self.dataset)
+        rng = np.random.default_rng([self.seed, 3, len(self.dataset)])
+        known = self.dataset.inputs[self._front_rows()]
+        front = predict_front(self.problem, models, known, rng, size)
+        signs = [o.sign for o in self.problem.objectives]
+        names = self.problem.objective_names
+        return [
+            {
+                "setpoint": self.problem.denormalize(x),
+                "objectives": dict(zip(names, (signs * means).tolist(), strict=True)),
+                "stddevs": dict(zip(names, stddevs.tolist(), strict=True)),
+            }
+            for x, means, stddevs in zip(*front, strict=True)
+        ]
 
     def _tell_all_to(self, other: Optimizer) -> None:
         for evaluation in self.dataset.evaluations:
