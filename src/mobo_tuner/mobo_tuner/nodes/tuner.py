@@ -13,13 +13,17 @@ from mobo_tuner.ros.problem_parameters import ProblemParameters
 from mobo_tuner.ros.process import STOP_TIMEOUT, exit_process, run_node
 from mobo_tuner.ros.waiting import until
 from mobo_tuner.ros.worker import Worker
+from mobo_tuner.tuning.ask_tell import AskTell
 from mobo_tuner.tuning.changes import Changes
 from mobo_tuner.tuning.heartbeat import Heartbeat
 from mobo_tuner.tuning.parts import TunerParts
 from mobo_tuner.tuning.publishers import TunerPublishers
+from mobo_tuner.tuning.run_keeper import RunKeeper
+from mobo_tuner.tuning.session import Session
 from mobo_tuner.tuning.status import Status
 from mobo_tuner.tuning.steering import SteeringServices
 from mobo_tuner.tuning.tune_server import TuneServer
+from mobo_tuner.tuning.working_points import WorkingPoints
 
 STOPPED = "the tuner was asked to stop"
 
@@ -57,17 +61,22 @@ class Tuner:
             heartbeat=Heartbeat(self.node),
             stopping=Future(executor=executor),
         )
-        self._changes = Changes(self._parts, problem, lambda: self._tune.run)
-        self._tune = TuneServer(self._parts, lambda: self._changes.problem)
-        self._steering = SteeringServices(self._parts, lambda: self._tune.run)
+        self._session = session = Session()
+        changes = Changes(self._parts, problem, session.current)
+        keeper = RunKeeper(self._parts, session)
+        self._steering = SteeringServices(self._parts, session.current)
+        self._working_points = WorkingPoints(self._parts, session, keeper)
+        self._ask_tell = AskTell(self._parts, session, lambda: changes.problem)
+        self._tune = TuneServer(self._parts, session, keeper, lambda: changes.problem)
 
     async def stop(self) -> None:
-        """End the run that goes on, with what it has."""
+        """End what goes on, with what it has."""
         self._parts.stopping.set_result(STOPPED)
-        run = self._tune.run
-        if run is not None:
-            run.stop(STOPPED)
-            await until(self.node, lambda: self._tune.run is not run, timeout=STOP_TIMEOUT)
+        if self._session.run is not None:
+            self._session.run.stop(STOPPED)
+        self._working_points.stop(STOPPED)
+        await until(self.node, lambda: not self._session.occupied, timeout=STOP_TIMEOUT)
+        self._ask_tell.close()
 
     def close(self) -> None:
         """Release the worker and the node."""

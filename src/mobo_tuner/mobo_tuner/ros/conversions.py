@@ -139,16 +139,16 @@ def evaluation_message(
 def front_message(
     problem: Problem, front: Iterable[Mapping], hypervolume: float, run_id: str, stamp: Time
 ) -> msg.ParetoFront:
-    """The Pareto front as `Optimizer.pareto_front` gives it."""
+    """The front as `Optimizer.pareto_front` or `predicted_front` gives it."""
     units = problem_units(problem)
     return msg.ParetoFront(
         stamp=stamp,
         run_id=run_id,
         points=[
             msg.ParetoPoint(
-                index=point["index"],
+                index=point.get("index", 0),
                 setpoint=named_values(point["setpoint"], units),
-                objectives=named_values(point["objectives"], units),
+                objectives=named_values(point["objectives"], units, point.get("stddevs")),
             )
             for point in front
         ],

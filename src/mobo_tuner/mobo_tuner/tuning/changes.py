@@ -54,7 +54,7 @@ class Changes:
             for name, value in own_changes.items():
                 _WRITABLE[name].check(value)
             budget = own_changes.get("evaluations")
-            if run is not None and budget is not None and budget <= run.index:
+            if run is not None and run.changeable and budget is not None and budget <= run.index:
                 raise ProblemError(
                     f"evaluations is {budget}; more than the {run.index} that are finished are "
                     "allowed, and stop_after_this ends a run"
@@ -75,7 +75,7 @@ class Changes:
             self._parameters.accept(problem_changes)
         self._parts.parameters.update(own_changes)
         run = self._current()
-        if run is None:
+        if run is None or not run.changeable:
             return
         pending = run.steering.change
         budget = pending.budget if pending else run.budget

@@ -75,6 +75,8 @@ class Run:
         steering: what operators asked for.
         machine: what it says of itself; None before it was met.
         state_before: where the machine was before the run; None where nobody asked.
+        by_client: whether a client asks and tells by itself.
+        changeable: whether its problem and budget may be changed.
         evaluating: whether the machine is at it.
         consecutive_failures: at the end of the finished evaluations.
         step_started: when the evaluation before ended, by `time.perf_counter` [s].
@@ -90,6 +92,8 @@ class Run:
     steering: Steering = field(default_factory=Steering)
     machine: DescribeMachine.Response | None = None
     state_before: dict[str, float] | None = None
+    by_client: bool = False
+    changeable: bool = True
     evaluating: bool = False
     consecutive_failures: int = 0
     step_started: float = field(default_factory=time.perf_counter)

@@ -12,11 +12,11 @@ from mobo_msgs_py import msg
 from mobo_msgs_py.action import Tune
 from mobo_tuner.core import Problem
 from mobo_tuner.ros.conversions import seconds
-from mobo_tuner.tuning.ends import Ends
 from mobo_tuner.tuning.parts import TunerParts
-from mobo_tuner.tuning.run import Run, RunError
-from mobo_tuner.tuning.run_loop import RunLoop
+from mobo_tuner.tuning.run import Run
+from mobo_tuner.tuning.run_keeper import RunKeeper
 from mobo_tuner.tuning.run_start import start_run
+from mobo_tuner.tuning.session import Session
 
 CANCELED = "a client canceled it"
 
@@ -26,18 +26,22 @@ class TuneServer:
 
     Args:
         parts: of the tuner's node.
+        session: which a run takes.
+        keeper: sees runs through.
         problem: gives what a run that begins tunes.
-
-    Attributes:
-        run: the one that goes on; None while there is none.
     """
 
-    def __init__(self, parts: TunerParts, problem: Callable[[], Problem]) -> None:
-        self.run: Run | None = None
+    def __init__(
+        self,
+        parts: TunerParts,
+        session: Session,
+        keeper: RunKeeper,
+        problem: Callable[[], Problem],
+    ) -> None:
         self._parts = parts
+        self._session = session
+        self._keeper = keeper
         self._problem = problem
-        self._ends = Ends(parts)
-        self._loop = RunLoop(parts, self._ends)
         self._server = ActionServer(
             parts.node,
             Tune,
@@ -49,25 +53,26 @@ class TuneServer:
         )
 
     def _cancel(self, goal_handle: ServerGoalHandle) -> CancelResponse:
-        if self.run is not None and self.run.goal_id == bytes(goal_handle.goal_id.uuid):
-            self.run.stop(CANCELED)
+        run = self._session.run
+        if run is not None and run.goal_id == bytes(goal_handle.goal_id.uuid):
+            run.stop(CANCELED)
             self._parts.status.set(state=msg.TunerStatus.CANCELING)
         return CancelResponse.ACCEPT
 
     async def _execute(self, goal_handle: ServerGoalHandle) -> Tune.Result:
         """One run, from its goal to its result, which carries the front whatever happens."""
-        result = Tune.Result(error_code=Tune.Result.NONE)
         try:
             run = self._start(goal_handle)
         except (ValueError, OSError) as error:
             self._parts.log.warning(f"goal refused: {error}")
-            result.run_id = goal_handle.request.run_id
-            result.stop_reason = "error"
-            result.error_code = Tune.Result.INVALID_GOAL
-            result.error_msg = str(error)
             goal_handle.abort()
-            return result
-        self.run = run
+            return Tune.Result(
+                run_id=goal_handle.request.run_id,
+                stop_reason="error",
+                error_code=Tune.Result.INVALID_GOAL,
+                error_msg=str(error),
+            )
+        self._session.latest = run
         if goal_handle.is_cancel_requested:  # canceled before it began
             run.stop(CANCELED)
 
@@ -76,35 +81,19 @@ class TuneServer:
                 Tune.Feedback(evaluation=message, evaluations=run.index, budget=run.budget)
             )
 
-        self._parts.heartbeat.begin(run.run_id)
-        try:
-            await self._loop.carry_out(run, tell)
-            result.stop_reason = _stop_reason(run)
-            if run.interrupted:
-                result.error_code = Tune.Result.CANCELED
-                result.error_msg = f"the run was stopped: {run.interrupt.result()}"
-        except Exception as error:
-            if isinstance(error, RunError):
-                result.error_code, result.error_msg = error.code, str(error)
-            else:
-                result.error_code = Tune.Result.INTERNAL
-                result.error_msg = f"{type(error).__name__}: {error}"
-            result.stop_reason = "error"
-            self._parts.log.error(f"run '{run.run_id}' ends: {result.error_msg}")
-        try:
-            await self._leave_machine(run, result)
-            self._end(run, result)
-        finally:
-            self._parts.heartbeat.end()
-            self.run = None
-            self._parts.status.set(state=msg.TunerStatus.IDLE, phase="", fraction=0.0)
-        if result.error_code == Tune.Result.NONE:
+        ending = await self._keeper.see_through(run, tell)
+        if ending.error_code == Tune.Result.NONE:
             goal_handle.succeed()
         elif goal_handle.is_cancel_requested:
             goal_handle.canceled()
         else:
             goal_handle.abort()
-        return result
+        return Tune.Result(
+            run_id=run.run_id,
+            evaluations=run.index,
+            pareto_front=run.front(self._parts.now()),
+            **ending._asdict(),
+        )
 
     def _start(self, goal_handle: ServerGoalHandle) -> Run:
         """The run of a goal.
@@ -112,8 +101,8 @@ class TuneServer:
         Raises:
             ValueError, OSError: it cannot be served, with the reason.
         """
-        if self.run is not None:
-            raise ValueError(f"run '{self.run.run_id}' is going on; one run at a time is allowed")
+        if self._session.occupied:
+            raise ValueError(self._session.occupied)
         return start_run(
             goal_handle.request,
             self._problem(),
@@ -122,44 +111,3 @@ class TuneServer:
             interrupt=Future(executor=self._parts.node.executor),
             stamp=seconds(self._parts.now()),
         )
-
-    async def _leave_machine(self, run: Run, result: Tune.Result) -> None:
-        """After a cancel, a stop or an error, leave the machine where `on_abort` says."""
-        if result.error_code in (Tune.Result.NONE, Tune.Result.MACHINE_LOST):
-            return
-        done = await self._ends.act(run)
-        if done:
-            result.error_msg += f"; {done}"
-            self._parts.log.info(f"run '{run.run_id}': {done}")
-
-    def _end(self, run: Run, result: Tune.Result) -> None:
-        """Fill in the result and close the journal."""
-        result.run_id = run.run_id
-        result.evaluations = run.index
-        result.pareto_front = run.front(self._parts.now())
-        if run.journal is not None:
-            end = {
-                "type": "end",
-                "stamp": seconds(self._parts.now()),
-                "stop_reason": result.stop_reason,
-                "error_code": result.error_code,
-                "error_msg": result.error_msg,
-            }
-            try:
-                run.journal.append(end)
-            except OSError as error:
-                self._parts.log.error(f"the end of the run is not in its journal: {error}")
-            run.journal.close()
-        self._parts.status.set(message=result.error_msg)
-        self._parts.log.info(
-            f"run '{run.run_id}': {run.index} evaluations, hypervolume "
-            f"{run.optimizer.hypervolume:.6g}, stopped by {result.stop_reason}"
-        )
-
-
-def _stop_reason(run: Run) -> str:
-    if run.interrupted:
-        return "canceled"
-    if run.steering.stopping:
-        return "stopped"
-    return "budget" if run.index >= run.budget else "hypervolume_goal"
