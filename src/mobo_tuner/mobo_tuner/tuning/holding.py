@@ -10,11 +10,10 @@ from rclpy.task import Future
 from mobo_msgs_py import msg
 from mobo_tuner.core.dataset import Evaluation
 from mobo_tuner.ros.conversions import seconds
-from mobo_tuner.run_id import new_run_id
 from mobo_tuner.tuning.parts import TunerParts
 from mobo_tuner.tuning.run import Run, RunError
 from mobo_tuner.tuning.run_keeper import RunKeeper
-from mobo_tuner.tuning.run_start import open_journal
+from mobo_tuner.tuning.run_start import start_holding
 
 
 class Holding:
@@ -66,17 +65,15 @@ class Holding:
             run.optimizer.focus, index=index, weights=named, radius=radius
         )
         before = len(focused.dataset)
-        held = Run(
-            run_id=new_run_id("hold"),
-            budget=before + evaluations,
-            hypervolume_goal=0.0,
-            optimizer=focused,
-            goal_id=b"",
+        held = start_holding(
+            run,
+            focused,
+            evaluations,
+            self._parts.parameters,
+            point=point,
             interrupt=interrupt,
-            changeable=False,
+            stamp=seconds(self._parts.now()),
         )
-        held.steering.queue.append(point)
-        held.journal = open_journal(held, self._parts.parameters, seconds(self._parts.now()))
 
         def told(message: msg.Evaluation) -> None:
             tell(message.index + 1 - before)

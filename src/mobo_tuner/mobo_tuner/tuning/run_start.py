@@ -49,6 +49,44 @@ def start_run(
     return run
 
 
+def start_holding(
+    run: Run,
+    focused: Optimizer,
+    evaluations: int,
+    parameters: Mapping[str, Any],
+    *,
+    point: Mapping[str, float],
+    interrupt: Future,
+    stamp: float,
+) -> Run:
+    """Prepare the run that holds a working point.
+
+    Args:
+        run: to whose front the point belongs.
+        focused: its optimiser, drawn in around the point.
+        evaluations: to be spent, of which the first is at the point.
+        parameters: of the tuner's node.
+        point: set-point of the working point.
+        interrupt: done when the holding shall stop.
+        stamp: now [s since the epoch].
+
+    Raises:
+        OSError: its journal cannot be written.
+    """
+    held = Run(
+        run_id=new_run_id("hold"),
+        budget=len(focused.dataset) + evaluations,
+        hypervolume_goal=0.0,
+        optimizer=focused,
+        goal_id=b"",
+        interrupt=interrupt,
+        changeable=False,
+    )
+    held.steering.queue.append(dict(point))
+    held.journal = open_journal(held, {**parameters, "holds": run.run_id}, stamp)
+    return held
+
+
 def make_optimizer(problem: Problem, parameters: Mapping[str, Any]) -> Optimizer:
     """The optimiser of a run that knows nothing yet."""
     initial = parameters["initial_evaluations"]
