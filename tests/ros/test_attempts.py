@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -166,3 +167,57 @@ def test_a_machine_that_does_not_return_in_time_ends_the_run(
     result = client.wait()
     assert result.error_code == Tune.Result.MACHINE_LOST
     assert "silent for 1.0 s, and did not return within 1.5 s" in result.error_msg
+
+
+def test_a_machine_that_returns_may_take_its_time_to_be_ready(
+    start_tuner: Callable[..., NodeProcess],
+    client: GoalClient,
+    node: Node,
+    spin_until: Callable[..., None],
+) -> None:
+    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), RESULT.NONE, ""))
+    codes = [RESULT.MACHINE_LOST, *[RESULT.NOT_ACTIVE] * 3, *[RESULT.BUSY] * 3]
+
+    def answer(goal: EvaluateSetpoint.Goal) -> tuple[dict[str, float], int, str]:
+        code = codes.pop(0) if codes else RESULT.NONE
+        return toy_values(goal), code, "not yet" if code else ""
+
+    machine.answer = answer
+    start_tuner("retry_delay:=0.1", "max_attempts:=2", "machine_return_timeout:=30.0")
+    client.send(Tune.Goal(evaluations=2))
+    assert client.wait().error_code == 0
+    assert identities(machine) == [*((0, attempt) for attempt in range(8)), (1, 0)]
+    # And one that never gets ready is not waited for without end.
+    codes.extend([RESULT.MACHINE_LOST] * 1000)
+    client.send(Tune.Goal(evaluations=2))
+    count = len(machine.goals)
+    spin_until(lambda: len(machine.goals) > count + 2, "further attempts")
+    client.cancel()
+    assert client.wait().error_code == Tune.Result.CANCELED
+
+
+def test_a_tuner_that_was_frozen_goes_on_where_it_was(
+    start_tuner: Callable[..., NodeProcess],
+    start_machine: Callable[..., NodeProcess],
+    client: GoalClient,
+    node: Node,
+    spin_until: Callable[..., None],
+    tmp_path: Path,
+) -> None:
+    machine = start_machine("speed:=10.0", "mode:=ideal", config="awa.yaml")
+    settings = ("client_timeout:=1.5", "on_client_lost:=restore", "machine_return_timeout:=60.0")
+    tuner = start_tuner("machine_timeout:=2.0", *settings, config="awa.yaml")
+    statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
+    client.send(Tune.Goal(run_id="frozen", evaluations=4))
+    spin_until(
+        lambda: client.feedback and statuses.messages[-1].phase == "ramping", "the second move"
+    )
+    tuner.popen.send_signal(signal.SIGSTOP)
+    lost = "the heartbeat of run 'frozen' stopped for more than 1.5 s"
+    spin_until(lambda: lost in machine.stderr, "the machine to notice")
+    tuner.popen.send_signal(signal.SIGCONT)
+    result = client.wait(60.0)
+    assert (result.error_code, result.evaluations) == (0, 4)
+    records = journal(tmp_path, "frozen")[1:-1]
+    assert all(r["valid"] for r in records)
+    assert max(r["attempts"] for r in records) >= 2

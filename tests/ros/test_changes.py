@@ -93,6 +93,31 @@ def test_a_change_holds_from_the_next_evaluation_on(
         assert record["hypervolume"] == pytest.approx(area(points[:n], reference), rel=1e-12)
 
 
+def test_costs_shorten_the_steps_of_a_run_that_goes_on(
+    start_tuner: Callable[..., NodeProcess],
+    client: GoalClient,
+    services: Services,
+    node: Node,
+    spin_until: Callable[..., None],
+    tmp_path: Path,
+) -> None:
+    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), NONE, ""))
+    start_tuner("initial_evaluations:=6", "proximal:=true")
+    machine.held = True
+    client.send(Tune.Goal(run_id="short", evaluations=12))
+    spin_until(lambda: machine.goals, "an evaluation")
+    result = services.set(variables__x1__cost=1e4, variables__x2__cost=0.0)
+    assert result.successful, result.reason
+    machine.held = False
+    assert client.wait().error_code == 0
+    x = [r["setpoint"] for r in journal(tmp_path, "short") if r["type"] == "evaluation"]
+    steps = {
+        name: [abs(x[i][name] - x[i - 1][name]) for i in range(6, 12)] for name in ("x1", "x2")
+    }
+    assert max(steps["x1"]) < 0.1
+    assert max(steps["x2"]) > 0.3
+
+
 def test_what_cannot_be_meant_is_refused_as_a_whole_with_one_sentence(
     start_tuner: Callable[..., NodeProcess],
     client: GoalClient,

@@ -179,7 +179,7 @@ def test_an_operators_setpoints_come_next(
     twice = [msg.NamedValue(name="x1"), msg.NamedValue(name="x1"), msg.NamedValue(name="x2")]
     request = QueueSetpoint.Request(setpoint=twice)
     response = desk.services.call(QueueSetpoint, "queue_setpoint", request)
-    assert response.message == "the set-point names a variable twice"
+    assert response.message == "the set-point names 'x1' twice"
     assert [desk.queue(x1=0.25, x2=y).waiting for y in (0.5, 0.75)] == [1, 2]
     desk.machine.held = False
     assert desk.client.wait().error_code == 0

@@ -155,7 +155,7 @@ def test_goals_that_cannot_be_served_and_a_cancel_on_the_way(
         (Goal(choice=Goal.BY_INDEX, index=point.index, radius=math.nan), "radius is nan"),
         (Goal(choice=Goal.BY_INDEX, hold_evaluations=10**9), "hold_evaluations is 1000000000"),
         (Goal(choice=Goal.BY_WEIGHTS), "weights name "),
-        (Goal(choice=Goal.BY_WEIGHTS, weights=named(some) * 2), "name an objective twice"),
+        (Goal(choice=Goal.BY_WEIGHTS, weights=named(some) * 2), "the list of weights names "),
         (Goal(choice=Goal.BY_WEIGHTS, weights=named(some | {"dE": -1.0})), "weights are "),
     ):
         mover.send(goal)

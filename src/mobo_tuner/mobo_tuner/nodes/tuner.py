@@ -58,7 +58,7 @@ class Tuner:
             ),
             publishers=publishers,
             status=Status(self.node, publishers),
-            heartbeat=Heartbeat(self.node),
+            heartbeat=Heartbeat(self.node, parameters["client_timeout"]),
             stopping=Future(executor=executor),
         )
         self._session = session = Session()

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from builtin_interfaces.msg import Time
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.srv import DescribeMachine
 from mobo_tuner.core.dataset import Evaluation
-from mobo_tuner.core.problem import Constraint, Objective, Observable, Problem, Variable
+from mobo_tuner.core.problem import (
+    Constraint,
+    Objective,
+    Observable,
+    Problem,
+    ProblemError,
+    Variable,
+)
+
+MAX_NAMES = 10_000  # in a list from outside
 
 
 def seconds(stamp: Time) -> float:
@@ -38,6 +47,22 @@ def named_values(
 def values_of(named: Iterable[msg.NamedValue]) -> dict[str, float]:
     """Values by name."""
     return {item.name: item.value for item in named}
+
+
+def unique_values(what: str, named: Sequence[msg.NamedValue]) -> dict[str, float]:
+    """Values by name, of someone whose word is not taken for it.
+
+    Raises:
+        ProblemError: there are too many, or a name stands twice.
+    """
+    if len(named) > MAX_NAMES:
+        raise ProblemError(f"{what} has {len(named)} names; at most {MAX_NAMES} are allowed")
+    values: dict[str, float] = {}
+    for item in named:
+        if item.name in values:
+            raise ProblemError(f"{what} names '{item.name[:80]}' twice")
+        values[item.name] = item.value
+    return values
 
 
 def measurements_of(named: Iterable[msg.NamedValue]) -> dict[str, tuple[float, float]]:

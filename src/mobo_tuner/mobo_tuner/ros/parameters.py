@@ -103,6 +103,11 @@ TUNER = (
         maximum=10_000,
     ),
     ParameterSpec(
+        "proximal",
+        False,
+        "whether steps from one set-point to the next are kept short, weighed by the variables' cost",
+    ),
+    ParameterSpec(
         "shots",
         0,
         "shots to average over per evaluation; 0 = as many as the machine thinks fit",

@@ -9,18 +9,18 @@ from rclpy.task import Future
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_msgs_py.srv import Ask, Tell
-from mobo_tuner.core import Problem, ProblemError
+from mobo_tuner.core import Problem
 from mobo_tuner.ros.conversions import (
     measurements_of,
     named_values,
     problem_message,
     problem_units,
     seconds,
-    values_of,
+    unique_values,
 )
 from mobo_tuner.ros.machine_client import Answer
 from mobo_tuner.run_id import new_run_id
-from mobo_tuner.tuning.parts import TunerParts
+from mobo_tuner.tuning.parts import TunerParts, sentence
 from mobo_tuner.tuning.run import SOURCES, Outcome, Run, Suggestion, missing_diagnostics
 from mobo_tuner.tuning.run_keeper import Ending, end_journal
 from mobo_tuner.tuning.run_start import start_run
@@ -61,8 +61,8 @@ class AskTell:
         try:
             run = await self._current()
             self._asked = asked = await self._parts.worker.submit(run.suggest)
-        except (ValueError, OSError) as error:
-            response.message = str(error)
+        except Exception as error:  # of this client's own making, and none of a run's concern
+            response.message = sentence(error)
             return response
         response.success = True
         response.setpoint = named_values(asked.setpoint, problem_units(run.problem))
@@ -72,16 +72,15 @@ class AskTell:
 
     async def _tell(self, request: Tell.Request, response: Tell.Response) -> Tell.Response:
         try:
-            _check_names("the set-point", request.setpoint)
-            _check_names("the list of diagnostics", request.diagnostics)
+            setpoint = unique_values("the set-point", request.setpoint)
+            unique_values("the list of diagnostics", request.diagnostics)
             run = await self._current()
-            setpoint = values_of(request.setpoint)
             run.problem.normalize(setpoint)
             message = await self._parts.worker.submit(
                 run.learn, self._suggestion(setpoint), self._outcome(run, request.diagnostics)
             )
-        except (ValueError, OSError) as error:
-            response.message = str(error)
+        except Exception as error:  # as above
+            response.message = sentence(error)
             return response
         self._parts.publishers.evaluation(message)
         self._parts.publishers.front(run.front(self._parts.now()))
@@ -151,10 +150,3 @@ class AskTell:
             diagnostics=answer.diagnostics,
         )
         return Outcome(failed, 1)
-
-
-def _check_names(what: str, named: Sequence[msg.NamedValue]) -> None:
-    names = [item.name for item in named]
-    for name in names:
-        if names.count(name) > 1:
-            raise ProblemError(f"{what} names '{name}' twice")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 from mobo_msgs_py import msg
@@ -21,7 +22,9 @@ _FAILED = (_RESULT.TIMEOUT, _RESULT.INVALID_MEASUREMENT, _RESULT.UNKNOWN)
 _LOST = (_RESULT.MACHINE_LOST, _RESULT.CLIENT_LOST)
 # The machine would not, which may pass.
 _REFUSED = (_RESULT.INTERLOCK, _RESULT.NOT_ACTIVE)
-LONGEST_DELAY = 60.0  # [s] between two attempts
+# The machine is there and will be ready, after what went before.
+_SOON = (_RESULT.BUSY, _RESULT.NOT_ACTIVE)
+SHORTEST_DELAY, LONGEST_DELAY = 0.1, 60.0  # [s] between two attempts
 
 
 class Attempts:
@@ -44,28 +47,25 @@ class Attempts:
         Raises:
             RunError: the machine was lost, or it refuses what it must not.
         """
-        parameters = self._parts.parameters
-        stops = (run.interrupt, run.steering.skip)
+        loss = _Loss(self._parts.parameters["machine_return_timeout"])
         attempts = tries = 0
         while True:
-            answer = await self._attempt(run, setpoint, attempts)
+            answer = await self._attempt(run, setpoint, attempts, loss)
             attempts += 1
-            if run.interrupted and answer.error_code != _RESULT.NONE:
-                return None
-            if run.steering.skip.done() and answer.error_code != _RESULT.NONE:
-                return Outcome(self.skipped(), attempts)
-            if answer.error_code in _LOST:
-                await self._await_return(run, answer.error_msg)
-            else:
-                tries += 1
-                if not self._shall_retry(answer, tries):
-                    self._check(run, answer)
-                    return Outcome(answer, attempts)
-                delay = min(parameters["retry_delay"] * 2.0 ** (tries - 1), LONGEST_DELAY)
-                text = f"evaluation {run.index} failed: {answer.error_msg}; it is tried again"
-                self._parts.log.warning(f"{text} in {delay:g} s")
-                self._parts.status.set(message=text)
-                await first_of(self._parts.node, *stops, timeout=delay)
+            if answer.error_code == _RESULT.NONE:
+                return Outcome(answer, attempts)
+            if not _stopped(run):
+                if answer.error_code in _LOST:
+                    await self._await_return(run, answer.error_msg, loss)
+                elif answer.error_code in _SOON and loss.going_on:
+                    # The machine is there again, but not ready yet: it may be on its way back.
+                    await self._pause(run, self._parts.parameters["retry_delay"])
+                else:
+                    tries += 1
+                    if not self._shall_retry(answer, tries):
+                        self._check(run, answer)
+                        return Outcome(answer, attempts)
+                    await self._back_off(run, answer, tries)
             if run.interrupted:
                 return None
             if run.steering.skip.done():
@@ -75,7 +75,9 @@ class Attempts:
         """What becomes of an evaluation that an operator skips."""
         return Answer(_RESULT.CANCELED, "skipped by an operator", self._parts.now())
 
-    async def _attempt(self, run: Run, setpoint: dict[str, float], attempt: int) -> Answer:
+    async def _attempt(
+        self, run: Run, setpoint: dict[str, float], attempt: int, loss: _Loss
+    ) -> Answer:
         """One attempt; a machine that does not answer is an answer, too."""
         parts, units = self._parts, problem_units(run.problem)
         goal = EvaluateSetpoint.Goal(
@@ -91,6 +93,7 @@ class Attempts:
         )
 
         def on_feedback(feedback: EvaluateSetpoint.Feedback) -> None:
+            loss.end()  # it is at work
             parts.status.set(publish=False, phase=feedback.phase, fraction=feedback.fraction)
 
         parts.status.set(state=msg.TunerStatus.EVALUATING, phase="", fraction=0.0)
@@ -120,6 +123,22 @@ class Attempts:
         retried = self._parts.parameters["on_failure"] == "retry"
         return retried and answer.error_code in (*_FAILED, *_REFUSED)
 
+    async def _back_off(self, run: Run, answer: Answer, tries: int) -> None:
+        """Wait before the next attempt, longer each time."""
+        delay = min(self._parts.parameters["retry_delay"] * 2.0 ** (tries - 1), LONGEST_DELAY)
+        text = f"evaluation {run.index} failed: {answer.error_msg}; it is tried again"
+        self._parts.log.warning(f"{text} in {delay:g} s")
+        self._parts.status.set(message=text)
+        await self._pause(run, delay)
+
+    async def _pause(self, run: Run, seconds: float) -> None:
+        await first_of(
+            self._parts.node,
+            run.interrupt,
+            run.steering.skip,
+            timeout=max(seconds, SHORTEST_DELAY),
+        )
+
     def _check(self, run: Run, answer: Answer) -> None:
         """Raise RunError where an answer is none that can be learned from."""
         if answer.error_code == _RESULT.CANCELED:
@@ -130,17 +149,17 @@ class Attempts:
                 f"the machine refused evaluation {run.index}: {answer.error_msg}",
             )
 
-    async def _await_return(self, run: Run, reason: str) -> None:
+    async def _await_return(self, run: Run, reason: str, loss: _Loss) -> None:
         """Wait until the machine that was lost is there again, or the run is interrupted.
 
         Raises:
             RunError: it did not return in time.
         """
-        parts = self._parts
-        patience = parts.parameters["machine_return_timeout"]
+        parts, patience = self._parts, loss.patience
         if patience <= 0.0:
             raise RunError(Tune.Result.MACHINE_LOST, reason)
-        parts.log.warning(f"{reason}; the run waits up to {patience:g} s for its return")
+        if loss.begin():
+            parts.log.warning(f"{reason}; the run waits up to {patience:g} s for its return")
         parts.status.set(
             state=msg.TunerStatus.WAITING,
             phase="",
@@ -148,16 +167,54 @@ class Attempts:
             message=f"{reason}; waiting for its return",
         )
         try:
-            machine = await parts.machine.describe(patience, run.interrupt, run.steering.skip)
+            await self._pause(run, parts.parameters["retry_delay"])
+            machine = await parts.machine.describe(
+                loss.remaining(), run.interrupt, run.steering.skip
+            )
+            if machine is None:
+                return
+            run.meet(machine)
         except MachineLostError:
             raise RunError(
                 Tune.Result.MACHINE_LOST, f"{reason}, and did not return within {patience:g} s"
             ) from None
-        if machine is None:
-            return
-        try:
-            run.meet(machine)
         except ProblemError as error:
             raise RunError(Tune.Result.MACHINE_LOST, f"{reason}; {error}") from None
         parts.log.info(f"'{machine.name}' is there again")
         parts.status.set(message="")
+
+
+class _Loss:
+    """How long a machine that was lost is waited for yet: from its loss until it is at work again.
+
+    Attributes:
+        patience: how long in all [s].
+    """
+
+    def __init__(self, patience: float) -> None:
+        self.patience = patience
+        self._deadline: float | None = None
+
+    def begin(self) -> bool:
+        """The machine was lost; whether that is new."""
+        new = self._deadline is None
+        if new:
+            self._deadline = time.monotonic() + self.patience
+        return new
+
+    def end(self) -> None:
+        """It is at work again."""
+        self._deadline = None
+
+    @property
+    def going_on(self) -> bool:
+        """Whether it was lost and there is patience left."""
+        return self._deadline is not None and time.monotonic() < self._deadline
+
+    def remaining(self) -> float:
+        """Seconds of patience from now."""
+        return 0.0 if self._deadline is None else max(0.0, self._deadline - time.monotonic())
+
+
+def _stopped(run: Run) -> bool:
+    return run.interrupted or run.steering.skip.done()

@@ -44,3 +44,10 @@ class TunerParts:
     def now(self) -> Time:
         """The node's time."""
         return self.node.get_clock().now().to_msg()
+
+
+def sentence(error: Exception) -> str:
+    """What a client is told of an error: one sentence; an unforeseen one is named."""
+    if isinstance(error, ValueError | OSError):
+        return str(error)
+    return f"{type(error).__name__}: {error}"

@@ -89,13 +89,12 @@ def start_holding(
 
 def make_optimizer(problem: Problem, parameters: Mapping[str, Any]) -> Optimizer:
     """The optimiser of a run that knows nothing yet."""
-    initial = parameters["initial_evaluations"]
-    return Optimizer(
-        problem,
-        preset=parameters["preset"],
-        seed=parameters["seed"],
-        **({"initial_evaluations": initial} if initial else {}),
-    )
+    choices: dict[str, Any] = {}
+    if parameters["initial_evaluations"]:
+        choices["initial_evaluations"] = parameters["initial_evaluations"]
+    if parameters["proximal"]:
+        choices["proximal"] = "costs"
+    return Optimizer(problem, preset=parameters["preset"], seed=parameters["seed"], **choices)
 
 
 def open_journal(run: Run, parameters: Mapping[str, Any], stamp: float) -> Journal | None:

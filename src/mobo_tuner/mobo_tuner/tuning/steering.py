@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from mobo_msgs_py.srv import QueueSetpoint
 from mobo_tuner.core import Problem, ProblemError
-from mobo_tuner.ros.conversions import values_of
+from mobo_tuner.ros.conversions import unique_values
 
 if TYPE_CHECKING:
     from mobo_tuner.tuning.parts import TunerParts
@@ -137,9 +137,7 @@ class SteeringServices:
         try:
             if len(steering.queue) >= MAX_QUEUED:
                 raise ProblemError(f"{MAX_QUEUED} set-points wait already; no more are allowed")
-            if len({item.name for item in request.setpoint}) != len(request.setpoint):
-                raise ProblemError("the set-point names a variable twice")
-            setpoint = values_of(request.setpoint)
+            setpoint = unique_values("the set-point", request.setpoint)
             check_bounds(problem, setpoint)
         except ProblemError as error:
             response.message = str(error)

@@ -16,10 +16,10 @@ from mobo_msgs_py.srv import ListWorkingPoints
 from mobo_tuner.core import ProblemError
 from mobo_tuner.core.focus import choose_on_front
 from mobo_tuner.core.hypervolume import hypervolume
-from mobo_tuner.ros.conversions import front_message, named_values, problem_units, values_of
+from mobo_tuner.ros.conversions import front_message, named_values, problem_units, unique_values
 from mobo_tuner.ros.machine_client import MachineLostError
 from mobo_tuner.tuning.holding import Holding
-from mobo_tuner.tuning.parts import TunerParts
+from mobo_tuner.tuning.parts import TunerParts, sentence
 from mobo_tuner.tuning.run import Run, RunError
 from mobo_tuner.tuning.run_keeper import RunKeeper
 from mobo_tuner.tuning.session import Session
@@ -70,7 +70,11 @@ class WorkingPoints:
             return response
         response.measured = run.front(self._parts.now())
         if request.predict:
-            front, volume = await self._parts.worker.submit(_predict, run)
+            try:
+                front, volume = await self._parts.worker.submit(_predict, run)
+            except Exception as error:  # none of a run's concern
+                response.message = sentence(error)
+                return response
             if not front:
                 response.message = "the models predict no point that is feasible and good enough"
                 return response
@@ -107,8 +111,7 @@ class WorkingPoints:
         except RunError as error:
             result.error_code, result.error_msg = error.code, str(error)
         except Exception as error:
-            result.error_code = _CODES.INTERNAL
-            result.error_msg = f"{type(error).__name__}: {error}"
+            result.error_code, result.error_msg = _CODES.INTERNAL, sentence(error)
         finally:
             self._session.moving = False
             self._interrupt = None
@@ -147,9 +150,7 @@ class WorkingPoints:
         if goal.choice == GoToWorkingPoint.Goal.BY_INDEX:
             index = goal.index
         elif goal.choice == GoToWorkingPoint.Goal.BY_WEIGHTS:
-            weights = values_of(goal.weights)
-            if len(weights) != len(goal.weights):
-                raise ValueError("the weights name an objective twice")
+            weights = unique_values("the list of weights", goal.weights)
         else:
             raise ValueError(f"choice is {goal.choice}; BY_INDEX and BY_WEIGHTS are allowed")
         front = run.optimizer.pareto_front()
