@@ -118,6 +118,7 @@ def parameters() -> str:
         "| `objectives.<name>.truncation` | two numbers [A, B] | side of the truncation box; holds the reference |",
         "| `objectives.<name>.unit` | text | must agree with the machine's |",
         "| `constraints.<name>.min`, `.max` | numbers, one needed | limits of a diagnostic |",
+        "| `constraints.<name>.critical` | true or false, false | one shot beyond it ends the evaluation |",
         "| `observables.<name>.unit` | text | a diagnostic to publish and record besides |",
     ]
     for node, specs in (

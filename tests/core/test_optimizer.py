@@ -14,6 +14,7 @@ import pytest
 from scipy.stats import qmc
 
 from mobo_tuner.core import Optimizer, Problem, ProblemError
+from mobo_tuner.core.focus import largest_box
 
 REFERENCE = 4.3
 TOY: dict[str, Any] = {
@@ -305,6 +306,47 @@ def test_focus_goes_on_around_a_point_of_the_front() -> None:
     tune(weighted, 12)
     # f1 + 3 f2 is least at the lower end of the front, where f2 = 0.
     assert min(e.values["f2"] for e in weighted.dataset.evaluations) < 0.1
+
+
+def test_another_problem_goes_on_with_all_that_was_told() -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY), seed=1, initial_evaluations=5)
+    tune(optimizer, 9)
+    narrow = with_changes(
+        variables={"x1": {"min": 0.5, "max": 1.0}, "x2": {"min": -2.0, "max": 2.0}},
+        objectives={"f1": {"reference": 2.0}, "f2": {"reference": REFERENCE}},
+    )
+    changed = optimizer.with_problem(narrow)
+    assert changed.problem == narrow
+    assert changed.settings == optimizer.settings
+    points = [[toy(e.setpoint)[n] for n in ("f1", "f2")] for e in optimizer.dataset.evaluations]
+    expected = moocore.hypervolume(np.array(points), ref=[2.0, REFERENCE])
+    assert changed.hypervolume == pytest.approx(expected, rel=1e-12)
+    # What it asks depends on the problem and the data alone.
+    told = Optimizer(narrow, seed=1, initial_evaluations=5)
+    for evaluation in optimizer.dataset.evaluations:
+        told.tell(evaluation.setpoint, toy(evaluation.setpoint))
+    assert changed.ask() == told.ask()
+    assert all(0.5 <= x["x1"] <= 1.0 for x in tune(changed, 4))
+    assert len(optimizer.dataset) == 9
+
+    limited = changed.with_problem(with_changes(constraints={"g": {"max": 0.2}}))
+    assert {e.feasible for e in limited.dataset.evaluations if e.setpoint["x1"] > 0.2} == {False}
+    with pytest.raises(
+        ProblemError, match="the variables are x1; with what was measured only x1, x2"
+    ):
+        optimizer.with_problem(with_changes(variables={"x1": {"min": 0.0, "max": 1.0}}))
+
+
+def test_the_largest_box_is_that_of_a_point_in_the_middle() -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY))
+    assert largest_box(optimizer.problem, optimizer.pareto_front()) is None
+    for t in (-1.0, -0.5, 0.1, 0.6, 1.0):
+        optimizer.tell({"x1": t, "x2": t}, toy({"x1": t, "x2": t}))
+    front = optimizer.pareto_front()
+    boxes = [math.prod(REFERENCE - f for f in p["objectives"].values()) for p in front]
+    best = largest_box(optimizer.problem, front)
+    assert best is not None
+    assert best["index"] == front[int(np.argmax(boxes))]["index"] == 2
 
 
 @pytest.mark.parametrize(

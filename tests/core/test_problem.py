@@ -25,7 +25,10 @@ MAPPING: dict[str, Any] = {
         "eps_x": {"direction": "minimize", "reference": 150.0, "unit": "mm mrad"},
         "energy": {"direction": "maximize", "reference": 12.0, "truncation": [10.0, 20.0]},
     },
-    "constraints": {"dE": {"max": 0.52}, "transmission": {"min": 0.98, "max": 1.1}},
+    "constraints": {
+        "dE": {"max": 0.52, "critical": True},
+        "transmission": {"min": 0.98, "max": 1.1},
+    },
     "observables": {"charge": {"unit": "nC"}},
 }
 
@@ -51,6 +54,7 @@ def test_a_problem_keeps_what_it_was_given() -> None:
     assert problem.variables[0].cost == 2.0
     assert problem.variables[1].unit == ""
     assert problem.constraints[0].minimum == -math.inf
+    assert [c.critical for c in problem.constraints] == [True, False]
     assert problem.required_diagnostics == ("eps_x", "energy", "dE", "transmission")
     assert Problem.from_dict(problem.to_dict()) == problem
 
@@ -87,6 +91,11 @@ def test_a_ros_parameter_file_and_the_bare_mapping_give_the_same(tmp_path: Path)
         ("variables.K1.min", math.nan, "variables.K1.min must be a finite number"),
         ("variables.K1.max", 10**400, "variables.K1.max must be a finite number"),
         ("variables.K1.min", 550, "variables.K1.min is 550, which must be less than its max"),
+        (
+            "constraints.dE.critical",
+            "yes",
+            "constraints.dE.critical must be true or false, not the",
+        ),
         ("variables.K1.cost", -1, "variables.K1.cost is -1"),
         ("variables.K1.unit", 7, "variables.K1.unit must be text"),
         ("variables.K 1", {"min": 0, "max": 1}, "'K 1' in 'variables' is no name"),

@@ -17,7 +17,8 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from ros_support import TIMEOUT, NodeStarter
+from ros_support import TIMEOUT, NodeProcess, NodeStarter
+from tuning_support import CONFIG, GoalClient, Services, tune_client
 
 # Loading the support of a ROS type imports lark, whose deprecated imports are not ours to mend.
 with warnings.catch_warnings():
@@ -103,3 +104,40 @@ def start_node(ros_domain: int, tmp_path: Path) -> Iterator[NodeStarter]:
     yield starter
     for process in starter.processes:
         process.kill()
+
+
+@pytest.fixture
+def start_tuner(start_node: NodeStarter, tmp_path: Path) -> Callable[..., NodeProcess]:
+    """Start the tuner with parameters such as ``seed:=3``; runs are kept in ``tmp_path/runs``."""
+
+    def start(*parameters: str, config: str | Path = "toy.yaml") -> NodeProcess:
+        settings = (f"runs_dir:={tmp_path / 'runs'}", *parameters)
+        options = [word for text in settings for word in ("-p", f"tuner:{text}")]
+        file = ["--params-file", str(CONFIG / config)]
+        return start_node("-m", "mobo_tuner.nodes.tuner", "--ros-args", *file, *options)
+
+    return start
+
+
+@pytest.fixture
+def start_machine(start_node: NodeStarter) -> Callable[..., NodeProcess]:
+    """Start the simulated machine with parameters such as ``speed:=10.0``."""
+
+    def start(*parameters: str, config: str = "toy.yaml") -> NodeProcess:
+        options = [word for text in parameters for word in ("-p", f"awa_sim:{text}")]
+        file = ["--params-file", str(CONFIG / config)]
+        return start_node("-m", "awa_sim_node.node", "--ros-args", *file, *options)
+
+    return start
+
+
+@pytest.fixture
+def client(node: Node, spin_until: Callable[..., None]) -> GoalClient:
+    """A client of the `tune` action."""
+    return tune_client(node, spin_until)
+
+
+@pytest.fixture
+def services(node: Node, spin_until: Callable[..., None]) -> Services:
+    """Calls the tuner's services."""
+    return Services(node, spin_until)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
 import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -19,49 +17,17 @@ from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_tuner.ros.qos import LATCHED, STREAM
 from ros_support import NodeProcess, NodeStarter
-from tuning_support import CONFIG, GoalClient, ScriptedMachine, toy_values, tune_client
+from tuning_support import (
+    GoalClient,
+    Listener,
+    ScriptedMachine,
+    journal,
+    toy_values,
+    tune_client,
+)
 
 NONE = EvaluateSetpoint.Result.NONE
 FAILED = EvaluateSetpoint.Result.INVALID_MEASUREMENT
-
-
-@pytest.fixture
-def start_tuner(start_node: NodeStarter, tmp_path: Path) -> Callable[..., NodeProcess]:
-    def start(*parameters: str, config: str = "toy.yaml") -> NodeProcess:
-        settings = (f"runs_dir:={tmp_path / 'runs'}", *parameters)
-        options = [word for text in settings for word in ("-p", f"tuner:{text}")]
-        file = ["--params-file", str(CONFIG / config)]
-        return start_node("-m", "mobo_tuner.nodes.tuner", "--ros-args", *file, *options)
-
-    return start
-
-
-@pytest.fixture
-def start_machine(start_node: NodeStarter) -> Callable[..., NodeProcess]:
-    def start(*parameters: str, config: str = "toy.yaml") -> NodeProcess:
-        options = [word for text in parameters for word in ("-p", f"awa_sim:{text}")]
-        file = ["--params-file", str(CONFIG / config)]
-        return start_node("-m", "awa_sim_node.node", "--ros-args", *file, *options)
-
-    return start
-
-
-@pytest.fixture
-def client(node: Node, spin_until: Callable[..., None]) -> GoalClient:
-    return tune_client(node, spin_until)
-
-
-class Listener:
-    """Keeps every message of one topic."""
-
-    def __init__(self, node: Node, kind: type, topic: str, qos: Any) -> None:
-        self.messages: list[Any] = []
-        self.subscription = node.create_subscription(kind, topic, self.messages.append, qos)
-
-
-def journal(tmp_path: Path, run_id: str) -> list[dict[str, Any]]:
-    text = (tmp_path / "runs" / run_id / "journal.jsonl").read_text(encoding="utf-8")
-    return [json.loads(line) for line in text.splitlines()]
 
 
 def test_a_goal_tunes_the_machine_and_everyone_hears_of_it(
@@ -153,6 +119,7 @@ def test_a_cancel_is_answered_within_a_second_in_any_phase(
     else:
         start_tuner("discovery_timeout:=60.0")
     statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
+    beats = Listener(node, msg.Heartbeat, "heartbeat", STREAM)
     client.send(Tune.Goal(run_id="run", evaluations=50))
     done = 18 if phase == "suggesting" else 0
     state = getattr(msg.TunerStatus, phase.upper())
@@ -164,6 +131,9 @@ def test_a_cancel_is_answered_within_a_second_in_any_phase(
     spin_until(reached, f"the phase {phase}", 60.0)
     if phase == "evaluating":
         spin_until(lambda: statuses.messages[-1].phase == "ramping", "a ramp")
+    heard = len(beats.messages)
+    spin_until(lambda: len(beats.messages) >= heard + 2, "two heartbeats in this phase")
+    assert statuses.messages[-1].state == state
     assert not client.result.done()
     started = time.monotonic()
     client.cancel()
@@ -173,6 +143,8 @@ def test_a_cancel_is_answered_within_a_second_in_any_phase(
     assert result.stop_reason == "canceled"
     assert result.evaluations == done
     assert bool(result.pareto_front.points) == bool(done)
+    spin_until(lambda: not beats.messages[-1].run_id, "the last heartbeat")
+    assert {beat.run_id for beat in beats.messages[:-1]} == {"run"}
 
 
 def test_a_killed_machine_ends_the_run_with_an_error_and_loses_nothing(
@@ -272,6 +244,9 @@ def test_failed_evaluations_are_recorded_and_the_run_goes_on(
     records = journal(tmp_path, "failing")[1:-1]
     assert [r["valid"] for r in records] == [True, False, False, True, True, True, True]
     assert records[1]["error_msg"] == "the camera saw nothing"
+    assert records[2]["error_msg"] == "the machine did not measure f2"
+    assert records[2]["error_code"] == FAILED
+    assert [r["attempts"] for r in records] == [1] * 7
     assert records[1]["diagnostics"]["f1"][0] == 1.0
 
 

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import math
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.action import ActionClient, ActionServer, CancelResponse
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.task import Future
+from std_srvs.srv import Trigger
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_msgs_py.srv import DescribeMachine
+from mobo_tuner.ros.waiting import first_of
 
 CONFIG = Path(__file__).parents[2] / "config"
 Spin = Callable[..., None]
@@ -62,26 +68,91 @@ def machine_client(node: Node, spin_until: Spin) -> GoalClient:
     return GoalClient(node, spin_until, EvaluateSetpoint, "evaluate_setpoint")
 
 
+class Services:
+    """Calls services by their type and name, and sets the tuner's parameters."""
+
+    def __init__(self, node: Node, spin_until: Spin) -> None:
+        self._node = node
+        self._spin_until = spin_until
+
+    def call(self, kind: type, name: str, request: Any = None, timeout: float = 30.0) -> Any:
+        """The response of one call."""
+        client = self._node.create_client(kind, name)
+        self._spin_until(client.service_is_ready, f"the service {name}")
+        future = client.call_async(kind.Request() if request is None else request)
+        self._spin_until(future.done, f"the answer of {name}", timeout)
+        self._node.destroy_client(client)
+        return future.result()
+
+    def trigger(self, name: str) -> Any:
+        """The response of one of the tuner's triggers."""
+        return self.call(Trigger, name)
+
+    def set(self, **values: Any) -> Any:
+        """Set parameters of the tuner at once; `__` stands for a dot. Gives the result."""
+        parameters = [
+            Parameter(name.replace("__", "."), value=value).to_parameter_msg()
+            for name, value in values.items()
+        ]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        return self.call(SetParametersAtomically, "tuner/set_parameters_atomically", request).result
+
+
+class Listener:
+    """Keeps every message of one topic."""
+
+    def __init__(self, node: Node, kind: type, topic: str, qos: Any) -> None:
+        self.messages: list[Any] = []
+        self.subscription = node.create_subscription(kind, topic, self.messages.append, qos)
+
+
+def journal(tmp_path: Path, run_id: str) -> list[dict[str, Any]]:
+    """The records of a run."""
+    text = (tmp_path / "runs" / run_id / "journal.jsonl").read_text(encoding="utf-8")
+    return [json.loads(line) for line in text.splitlines()]
+
+
 Answerer = Callable[[EvaluateSetpoint.Goal], tuple[Mapping[str, float], int, str]]
 
 
 class ScriptedMachine:
     """A machine of the toy problem's shape, written against the interface package alone.
 
-    `answer` gives, for a goal, the diagnostics, the error code and the error message.
+    Attributes:
+        answer: gives, for a goal, the diagnostics, the error code and the error message.
+        goals: that came so far.
+        held: while true, evaluations go on, until they are canceled.
+        silent: while true, evaluations go on without feedback, and cancels are not heeded.
+        times: when the goals came, by `time.monotonic` [s].
+        identity: gives the run id, index and attempt that a result carries.
     """
 
     def __init__(self, node: Node, answer: Answerer) -> None:
         self.answer = answer
         self.goals: list[EvaluateSetpoint.Goal] = []
-        node.create_service(DescribeMachine, "describe_machine", self._describe)
+        self.times: list[float] = []
+        self.held = False
+        self.silent = False
+        self.identity: Callable[[EvaluateSetpoint.Goal], tuple[str, int, int]] = lambda goal: (
+            goal.run_id,
+            goal.index,
+            goal.attempt,
+        )
+        self._node = node
+        self._service = node.create_service(DescribeMachine, "describe_machine", self._describe)
         self._server = ActionServer(
             node,
             EvaluateSetpoint,
             "evaluate_setpoint",
             self._execute,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
+            result_timeout=10,
         )
+
+    def close(self) -> None:
+        """Go away."""
+        self._server.destroy()
+        self._node.destroy_service(self._service)
 
     @staticmethod
     def _describe(
@@ -92,18 +163,29 @@ class ScriptedMachine:
         response.diagnostics = [msg.Observable(name=n) for n in ("f1", "f2")]
         return response
 
-    def _execute(self, handle: Any) -> EvaluateSetpoint.Result:
+    async def _execute(self, handle: Any) -> EvaluateSetpoint.Result:
         goal = handle.request
         self.goals.append(goal)
+        self.times.append(time.monotonic())
+        while self.silent:
+            await first_of(self._node, timeout=0.1)
+        while self.held and not handle.is_cancel_requested:
+            handle.publish_feedback(EvaluateSetpoint.Feedback(phase="measuring"))
+            await first_of(self._node, timeout=0.1)
         values, code, text = self.answer(goal)
+        if handle.is_cancel_requested:
+            values, code, text = {}, EvaluateSetpoint.Result.CANCELED, "stopped"
+        run_id, index, attempt = self.identity(goal)
         result = EvaluateSetpoint.Result(
-            run_id=goal.run_id, index=goal.index, error_code=code, error_msg=text
+            run_id=run_id, index=index, attempt=attempt, error_code=code, error_msg=text
         )
         result.readbacks = list(goal.setpoint)
         result.diagnostics = [
             msg.NamedValue(name=n, value=v, stddev=math.nan) for n, v in values.items()
         ]
-        if code == EvaluateSetpoint.Result.NONE:
+        if handle.is_cancel_requested:
+            handle.canceled()
+        elif code == EvaluateSetpoint.Result.NONE:
             handle.succeed()
         else:
             handle.abort()

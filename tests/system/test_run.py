@@ -155,6 +155,8 @@ def test_a_run_leaves_a_summary_pictures_a_journal_and_a_bag(start: Callable[...
     assert [m.index for m in told] == list(range(9))
     assert [m.hypervolume for m in told] == [r["hypervolume"] for r in run.evaluations()]
     assert rosbags_count(run.folder / "bag", "/evaluation") == 9
+    beats = mcap_messages(run.folder / "bag", "/heartbeat")
+    assert [beat.run_id for beat in beats][-2:] == ["run", ""]
     [problem] = mcap_messages(run.folder / "bag", "/problem")
     assert [o.name for o in problem.objectives] == ["f1", "f2"]
     with AnyReader([run.folder / "bag"]) as reader:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from dataclasses import fields
 from functools import reduce
 from operator import mul
 from pathlib import Path
@@ -30,6 +31,7 @@ from mobo_tuner.core.initial_design import initial_design
 from mobo_tuner.core.linear_algebra import single_blas_thread
 from mobo_tuner.core.models import Models, PriorMean
 from mobo_tuner.core.pareto import is_below, is_nondominated
+from mobo_tuner.core.predicted_front import predict_front
 from mobo_tuner.core.presets import OptimizerSettings, make_settings
 from mobo_tuner.core.problem import Array, Problem, ProblemError
 from mobo_tuner.core.proximal import ProximalBiasing
@@ -84,6 +86,7 @@ class Optimizer:
         self.settings = make_settings(preset, overrides)
         self._check_settings()
         self.dataset = Dataset(problem)
+        self._prior_means = prior_means
         self._models = Models(problem, self.settings, seed, prior_means)
         self._boxes = BoxDecomposition(problem.reference_point)
         self._packed = 0  # number of valid evaluations when the boxes were last built anew
@@ -179,10 +182,63 @@ class Optimizer:
             initial_evaluations=1,
             kernel=self.settings.kernel,
         )
+        self._tell_all_to(focused)
+        return focused
+
+    def with_problem(self, problem: Problem) -> Optimizer:
+        """Go on with another problem of the same variables, knowing all that was told.
+
+        Bounds, objectives, constraints, costs and the truncation box may differ; evaluations outside
+        new bounds stay. The new optimiser's models are trained anew, so that what it asks depends on
+        the problem and what was told, and not on when the problem was changed.
+
+        Raises:
+            ProblemError: the variables are others, or the settings do not suit the problem.
+        """
+        if set(problem.variable_names) != set(self.problem.variable_names):
+            raise ProblemError(
+                f"the variables are {', '.join(problem.variable_names)}; with what was measured "
+                f"only {', '.join(self.problem.variable_names)} are allowed"
+            )
+        choices = {f.name: getattr(self.settings, f.name) for f in fields(self.settings)}
+        changed = Optimizer(problem, seed=self.seed, prior_means=self._prior_means, **choices)
+        self._tell_all_to(changed)
+        return changed
+
+    def predicted_front(self, size: int = 100) -> list[dict[str, Any]]:
+        """The front as the models predict it where nothing was measured yet.
+
+        The models are trained anew for it: nothing that this optimiser asks later depends on it.
+
+        Args:
+            size: most points of the front.
+
+        Returns:
+            Set-point, objectives and their standard deviations (`stddevs`) of each point, in their
+            own units; empty where no evaluation is valid or nothing good is predicted.
+        """
+        if not self.dataset.valid.any():
+            return []
+        models = Models(self.problem, self.settings, self.seed, self._prior_means)
+        models.update(self.dataset)
+        rng = np.random.default_rng([self.seed, 3, len(self.dataset)])
+        known = self.dataset.inputs[self._front_rows()]
+        front = predict_front(self.problem, models, known, rng, size)
+        signs = [o.sign for o in self.problem.objectives]
+        names = self.problem.objective_names
+        return [
+            {
+                "setpoint": self.problem.denormalize(x),
+                "objectives": dict(zip(names, (signs * means).tolist(), strict=True)),
+                "stddevs": dict(zip(names, stddevs.tolist(), strict=True)),
+            }
+            for x, means, stddevs in zip(*front, strict=True)
+        ]
+
+    def _tell_all_to(self, other: Optimizer) -> None:
         for evaluation in self.dataset.evaluations:
             outputs = {n: (v, evaluation.stddevs[n]) for n, v in evaluation.values.items()}
-            focused.tell(evaluation.setpoint, outputs)
-        return focused
+            other.tell(evaluation.setpoint, outputs)
 
     # ------------------------------------------------------------------ state
 
@@ -224,6 +280,7 @@ class Optimizer:
         try:
             restored = cls(Problem.from_dict(state["problem"]), seed=state["seed"])
             restored.settings = OptimizerSettings.from_dict(state["settings"])
+            restored._prior_means = prior_means
             restored._models = Models(
                 restored.problem, restored.settings, restored.seed, prior_means
             )

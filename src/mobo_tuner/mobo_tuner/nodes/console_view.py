@@ -23,6 +23,8 @@ _STATES = {
     TunerStatus.SUGGESTING: "computing the next candidate",
     TunerStatus.EVALUATING: "the machine is at work",
     TunerStatus.CANCELING: "stopping",
+    TunerStatus.PAUSED: "paused",
+    TunerStatus.MOVING: "the machine is sent to a set-point",
 }
 
 

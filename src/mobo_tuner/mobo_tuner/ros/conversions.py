@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from builtin_interfaces.msg import Time
 
 from mobo_msgs_py import msg
+from mobo_msgs_py.srv import DescribeMachine
 from mobo_tuner.core.dataset import Evaluation
-from mobo_tuner.core.problem import Constraint, Objective, Observable, Problem, Variable
+from mobo_tuner.core.problem import (
+    Constraint,
+    Objective,
+    Observable,
+    Problem,
+    ProblemError,
+    Variable,
+)
+
+MAX_NAMES = 10_000  # in a list from outside
 
 
 def seconds(stamp: Time) -> float:
@@ -39,9 +49,36 @@ def values_of(named: Iterable[msg.NamedValue]) -> dict[str, float]:
     return {item.name: item.value for item in named}
 
 
+def unique_values(what: str, named: Sequence[msg.NamedValue]) -> dict[str, float]:
+    """Values by name, of someone whose word is not taken for it.
+
+    Raises:
+        ProblemError: there are too many, or a name stands twice.
+    """
+    if len(named) > MAX_NAMES:
+        raise ProblemError(f"{what} has {len(named)} names; at most {MAX_NAMES} are allowed")
+    values: dict[str, float] = {}
+    for item in named:
+        if item.name in values:
+            raise ProblemError(f"{what} names '{item.name[:80]}' twice")
+        values[item.name] = item.value
+    return values
+
+
 def measurements_of(named: Iterable[msg.NamedValue]) -> dict[str, tuple[float, float]]:
     """Pairs (mean, standard deviation) by name, as `Optimizer.tell` takes them."""
     return {item.name: (item.value, item.stddev) for item in named}
+
+
+def machine_facts(
+    machine: DescribeMachine.Response,
+) -> tuple[dict[str, tuple[float, float]], dict[str, str], dict[str, str]]:
+    """What a machine says of itself, as `Problem.check_machine` takes it."""
+    return (
+        {v.name: (v.min, v.max) for v in machine.variables},
+        {d.name: d.unit for d in machine.diagnostics},
+        {v.name: v.unit for v in machine.variables},
+    )
 
 
 def problem_units(problem: Problem) -> dict[str, str]:
@@ -55,9 +92,24 @@ def problem_units(problem: Problem) -> dict[str, str]:
     return {quantity.name: quantity.unit for quantity in quantities if quantity.unit}
 
 
+def constraint_messages(problem: Problem, critical_only: bool = False) -> list[msg.Constraint]:
+    """The problem's constraints, or the critical ones among them."""
+    units = problem_units(problem)
+    return [
+        msg.Constraint(
+            name=c.name,
+            unit=units.get(c.name, ""),
+            min=c.minimum,
+            max=c.maximum,
+            critical=c.critical,
+        )
+        for c in problem.constraints
+        if c.critical or not critical_only
+    ]
+
+
 def problem_message(problem: Problem, run_id: str, stamp: Time) -> msg.Problem:
     """The problem of a run, as it is published."""
-    units = problem_units(problem)
     return msg.Problem(
         stamp=stamp,
         run_id=run_id,
@@ -79,10 +131,7 @@ def problem_message(problem: Problem, run_id: str, stamp: Time) -> msg.Problem:
             )
             for o in problem.objectives
         ],
-        constraints=[
-            msg.Constraint(name=c.name, unit=units.get(c.name, ""), min=c.minimum, max=c.maximum)
-            for c in problem.constraints
-        ],
+        constraints=constraint_messages(problem),
         observables=[msg.Observable(name=o.name, unit=o.unit) for o in problem.observables],
     )
 
@@ -115,16 +164,16 @@ def evaluation_message(
 def front_message(
     problem: Problem, front: Iterable[Mapping], hypervolume: float, run_id: str, stamp: Time
 ) -> msg.ParetoFront:
-    """The Pareto front as `Optimizer.pareto_front` gives it."""
+    """The front as `Optimizer.pareto_front` or `predicted_front` gives it."""
     units = problem_units(problem)
     return msg.ParetoFront(
         stamp=stamp,
         run_id=run_id,
         points=[
             msg.ParetoPoint(
-                index=point["index"],
+                index=point.get("index", 0),
                 setpoint=named_values(point["setpoint"], units),
-                objectives=named_values(point["objectives"], units),
+                objectives=named_values(point["objectives"], units, point.get("stddevs")),
             )
             for point in front
         ],
