@@ -65,7 +65,7 @@ class MyMachine(Node):
         """Check everything, then move and measure."""
         started = time.perf_counter()
         goal = goal_handle.request
-        result = Result(run_id=goal.run_id, index=goal.index)
+        result = Result(run_id=goal.run_id, index=goal.index, attempt=goal.attempt)
         x = {item.name: item.value for item in goal.setpoint}
         inside = x.keys() == LIMITS.keys() and all(
             low <= x[name] <= high for name, (low, high) in LIMITS.items()

@@ -29,6 +29,8 @@ TOPICS = """| name | type | quality of service | what for |
 | `plot/<name>` | `std_msgs/Float64` | reliable, 100 deep | one number per evaluation, for plotting tools |
 | `tune` | action `Tune` | | served by the tuner |
 | `evaluate_setpoint` | action `EvaluateSetpoint` | | served by the machine, asked by the tuner |
+| `apply_setpoint` | action `ApplySetpoint` | | served by the machine: go there without measuring |
+| `heartbeat` | `Heartbeat` | reliable, 100 deep | from the tuner to the machine at 1 Hz while a run goes on |
 | `describe_machine` | service `DescribeMachine` | | served by the machine, asked by the tuner |
 
 Latched means reliable, transient local, one deep: a late subscriber gets the last message at once. All names are

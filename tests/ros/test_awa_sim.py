@@ -67,8 +67,10 @@ def test_an_evaluation_moves_settles_and_measures(
     assert (result.run_id, result.index) == ("run", 3)
     assert {f.phase for f in client.feedback} <= {"ramping", "settling", "measuring"}
     assert {"ramping", "measuring"} <= {f.phase for f in client.feedback}
-    fractions = [f.fraction for f in client.feedback]
-    assert fractions == sorted(fractions)
+    for phase in ("ramping", "settling", "measuring"):
+        fractions = [f.fraction for f in client.feedback if f.phase == phase]
+        assert fractions == sorted(fractions)
+        assert all(0.0 <= fraction <= 1.0 for fraction in fractions)
     readback = {r.name: r for r in result.readbacks}["K1"]
     assert readback.value == pytest.approx(435.0, abs=0.5)
     emittance = {d.name: d for d in result.diagnostics}["eps_x"]

@@ -97,7 +97,11 @@ class ScriptedMachine:
         self.goals.append(goal)
         values, code, text = self.answer(goal)
         result = EvaluateSetpoint.Result(
-            run_id=goal.run_id, index=goal.index, error_code=code, error_msg=text
+            run_id=goal.run_id,
+            index=goal.index,
+            attempt=goal.attempt,
+            error_code=code,
+            error_msg=text,
         )
         result.readbacks = list(goal.setpoint)
         result.diagnostics = [

@@ -7,7 +7,7 @@ It knows no clock and no ROS: whoever drives it says how much simulated time has
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import StrEnum
 from typing import Final
 
@@ -71,6 +71,7 @@ class SimulatedMachine:
         self._evaluation: Evaluation | None = None
         self._true_values: dict[str, float] = {}
         self._shots: dict[str, list[float]] = {}
+        self._on_shot: Callable[[dict[str, float]], None] | None = None
         self._time_to_shot = math.inf
 
     @property
@@ -97,6 +98,16 @@ class SimulatedMachine:
     def settled(self) -> bool:
         """Whether every actuator rests on its target."""
         return all(actuator.settled for actuator in self._actuators.values())
+
+    @property
+    def time_to_ramped(self) -> float:
+        """Simulated time until every actuator has stopped ramping [s]; 0 if none does."""
+        return max(actuator.time_to_ramped for actuator in self._actuators.values())
+
+    @property
+    def time_to_settled(self) -> float:
+        """Simulated time until every actuator rests on its target [s]; 0 if all do."""
+        return max(actuator.time_to_settled for actuator in self._actuators.values())
 
     @property
     def busy(self) -> bool:
@@ -142,16 +153,20 @@ class SimulatedMachine:
             )
         for name, target in targets.items():
             self._actuators[name].set(target)
-        return max(actuator.time_to_settled for actuator in self._actuators.values())
+        return self.time_to_settled
 
     def start_evaluation(
-        self, setpoint: Mapping[str, float], shots: int | None = None
+        self,
+        setpoint: Mapping[str, float],
+        shots: int | None = None,
+        on_shot: Callable[[dict[str, float]], None] | None = None,
     ) -> Evaluation:
         """Start an evaluation: go to ``setpoint``, settle, and average some shots.
 
         Args:
             setpoint: One value for each variable, in its unit.
             shots: Number of shots to average; None for the machine's usual number.
+            on_shot: Is given the diagnostics of every shot, and may ``stop`` the machine.
 
         Returns:
             The evaluation; ``step`` drives it on, and its ``result`` is there once it is finished.
@@ -168,6 +183,7 @@ class SimulatedMachine:
         duration = settling + count / self.description.repetition_rate
         self._evaluation = Evaluation(self.setpoint, count, duration)
         self._shots = {name: [] for name in self._actuators}
+        self._on_shot = on_shot
         self._shots |= {diagnostic.name: [] for diagnostic in self.description.diagnostics}
         self._advance_phase(self._evaluation)
         return self._evaluation
@@ -220,9 +236,9 @@ class SimulatedMachine:
             self._true_values = self._model.true_values(self._positions())
             self._time_to_shot = 1.0 / self.description.repetition_rate
         if evaluation.phase is Phase.MEASURE and self._time_to_shot <= _INSTANT:
-            self._take_shot()
             self._time_to_shot += 1.0 / self.description.repetition_rate
-            if self._shots_taken == evaluation.shots:
+            self._take_shot()
+            if self._shots_taken == evaluation.shots and not evaluation.phase.finished:
                 self._finish(evaluation, Phase.DONE)
 
     @property
@@ -233,10 +249,14 @@ class SimulatedMachine:
         """Add one measured value to every variable and diagnostic."""
         for name in self._actuators:
             self._shots[name].append(self._readback(name, self._shot_rng))
+        shot = {}
         for diagnostic in self.description.diagnostics:
             noise = NOISELESS if self._mode is Mode.IDEAL else self._model.noise[diagnostic.name]
             value = noise.shot(self._true_values[diagnostic.name], self._shot_rng)
             self._shots[diagnostic.name].append(value)
+            shot[diagnostic.name] = value
+        if self._on_shot is not None:
+            self._on_shot(shot)
 
     def _finish(self, evaluation: Evaluation, phase: Phase) -> None:
         """End the evaluation with what was measured so far."""

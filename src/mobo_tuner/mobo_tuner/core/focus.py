@@ -44,6 +44,20 @@ def choose_on_front(
     return dict(front[row]["setpoint"]), tuple(float(w) for w in vector)
 
 
+def largest_box(problem: Problem, front: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
+    """The point of the front that dominates the largest volume by itself; None of an empty front.
+
+    That is the product of its distances to the reference point, which favours a point that is good
+    in every objective over one that is best in some.
+    """
+    if not front:
+        return None
+    values = np.array(
+        [[p["objectives"][o.name] * o.sign for o in problem.objectives] for p in front]
+    )
+    return front[int(np.argmax(np.log(problem.reference_point - values).sum(axis=1)))]
+
+
 def around(problem: Problem, setpoint: Mapping[str, float], radius: float) -> Problem:
     """The problem with its bounds drawn in to `radius` of each range around a set-point.
 

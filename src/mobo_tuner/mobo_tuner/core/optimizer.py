@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from dataclasses import fields
 from functools import reduce
 from operator import mul
 from pathlib import Path
@@ -83,6 +84,7 @@ class Optimizer:
         self.settings = make_settings(preset, overrides)
         self._check_settings()
         self.dataset = Dataset(problem)
+        self._prior_means = prior_means
         self._models = Models(problem, self.settings, seed, prior_means)
         self._boxes = BoxDecomposition(problem.reference_point)
         self._hypervolume = 0.0
@@ -176,10 +178,33 @@ class Optimizer:
             initial_evaluations=1,
             kernel=self.settings.kernel,
         )
+        self._tell_all_to(focused)
+        return focused
+
+    def with_problem(self, problem: Problem) -> Optimizer:
+        """Go on with another problem of the same variables, knowing all that was told.
+
+        Bounds, objectives, constraints, costs and the truncation box may differ; evaluations outside
+        new bounds stay. The new optimiser's models are trained anew, so that what it asks depends on
+        the problem and what was told, and not on when the problem was changed.
+
+        Raises:
+            ProblemError: the variables are others, or the settings do not suit the problem.
+        """
+        if set(problem.variable_names) != set(self.problem.variable_names):
+            raise ProblemError(
+                f"the variables are {', '.join(problem.variable_names)}; with what was measured "
+                f"only {', '.join(self.problem.variable_names)} are allowed"
+            )
+        choices = {f.name: getattr(self.settings, f.name) for f in fields(self.settings)}
+        changed = Optimizer(problem, seed=self.seed, prior_means=self._prior_means, **choices)
+        self._tell_all_to(changed)
+        return changed
+
+    def _tell_all_to(self, other: Optimizer) -> None:
         for evaluation in self.dataset.evaluations:
             outputs = {n: (v, evaluation.stddevs[n]) for n, v in evaluation.values.items()}
-            focused.tell(evaluation.setpoint, outputs)
-        return focused
+            other.tell(evaluation.setpoint, outputs)
 
     # ------------------------------------------------------------------ state
 
@@ -221,6 +246,7 @@ class Optimizer:
         try:
             restored = cls(Problem.from_dict(state["problem"]), seed=state["seed"])
             restored.settings = OptimizerSettings.from_dict(state["settings"])
+            restored._prior_means = prior_means
             restored._models = Models(
                 restored.problem, restored.settings, restored.seed, prior_means
             )

@@ -74,12 +74,16 @@ class Objective:
 
 @dataclass(frozen=True)
 class Constraint:
-    """A limit on a diagnostic: ``minimum <= value <= maximum``, in `unit`."""
+    """A limit on a diagnostic: ``minimum <= value <= maximum``, in `unit`.
+
+    A `critical` one may not be violated by a single shot: the machine ends the evaluation that does.
+    """
 
     name: str
     minimum: float = -math.inf
     maximum: float = math.inf
     unit: str = ""
+    critical: bool = False
 
     def is_met(self, value: float) -> bool:
         """Whether a measured `value` meets the limit; NaN does not."""
@@ -162,6 +166,7 @@ class Problem:
                     if math.isfinite(value)
                 }
                 | {"unit": c.unit}
+                | ({"critical": True} if c.critical else {})
                 for c in self.constraints
             },
             "observables": {o.name: {"unit": o.unit} for o in self.observables},
@@ -354,14 +359,17 @@ def _objective(name: str, entry: Mapping[str, Any]) -> Objective:
 
 def _constraint(name: str, entry: Mapping[str, Any]) -> Constraint:
     where = f"constraints.{name}"
-    _reject_unknown(where, entry, ("min", "max", "unit"))
+    _reject_unknown(where, entry, ("min", "max", "unit", "critical"))
     if "min" not in entry and "max" not in entry:
         raise ProblemError(f"{where} needs 'min', 'max' or both")
     low = _number(f"{where}.min", entry["min"]) if "min" in entry else -math.inf
     high = _number(f"{where}.max", entry["max"]) if "max" in entry else math.inf
     if not low < high:
         raise ProblemError(f"{where}.min is {low:g}, which must be less than its max of {high:g}")
-    return Constraint(name, low, high, _text(f"{where}.unit", entry.get("unit", "")))
+    critical = entry.get("critical", False)
+    if not isinstance(critical, bool):
+        raise ProblemError(f"{where}.critical must be true or false, not {_describe(critical)}")
+    return Constraint(name, low, high, _text(f"{where}.unit", entry.get("unit", "")), critical)
 
 
 def _observable(name: str, entry: Mapping[str, Any]) -> Observable:

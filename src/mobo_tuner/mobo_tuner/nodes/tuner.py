@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from rclpy.executors import Executor
 from rclpy.node import Node
+from rclpy.task import Future
 
 from mobo_tuner.core import ProblemError
 from mobo_tuner.ros.machine_client import MachineClient
-from mobo_tuner.ros.parameters import TUNER, declare, declare_problem
+from mobo_tuner.ros.parameters import TUNER, declare
+from mobo_tuner.ros.problem_parameters import ProblemParameters
 from mobo_tuner.ros.process import STOP_TIMEOUT, exit_process, run_node
 from mobo_tuner.ros.waiting import until
 from mobo_tuner.ros.worker import Worker
+from mobo_tuner.tuning.changes import Changes
+from mobo_tuner.tuning.heartbeat import Heartbeat
 from mobo_tuner.tuning.parts import TunerParts
 from mobo_tuner.tuning.publishers import TunerPublishers
 from mobo_tuner.tuning.status import Status
+from mobo_tuner.tuning.steering import SteeringServices
 from mobo_tuner.tuning.tune_server import TuneServer
 
 STOPPED = "the tuner was asked to stop"
@@ -33,11 +38,11 @@ class Tuner:
         self.node = Node("tuner", automatically_declare_parameters_from_overrides=True)
         try:
             parameters = declare(self.node, TUNER)
-            problem = declare_problem(self.node)
+            problem = ProblemParameters(self.node)
         except ProblemError:
             self.node.destroy_node()
             raise
-        publishers = TunerPublishers(self.node, problem)
+        publishers = TunerPublishers(self.node, problem.problem)
         self._parts = TunerParts(
             node=self.node,
             parameters=parameters,
@@ -49,11 +54,16 @@ class Tuner:
             ),
             publishers=publishers,
             status=Status(self.node, publishers),
+            heartbeat=Heartbeat(self.node),
+            stopping=Future(executor=executor),
         )
-        self._tune = TuneServer(self._parts, problem)
+        self._changes = Changes(self._parts, problem, lambda: self._tune.run)
+        self._tune = TuneServer(self._parts, lambda: self._changes.problem)
+        self._steering = SteeringServices(self._parts, lambda: self._tune.run)
 
     async def stop(self) -> None:
         """End the run that goes on, with what it has."""
+        self._parts.stopping.set_result(STOPPED)
         run = self._tune.run
         if run is not None:
             run.stop(STOPPED)

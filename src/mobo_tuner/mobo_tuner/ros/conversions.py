@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from builtin_interfaces.msg import Time
 
 from mobo_msgs_py import msg
+from mobo_msgs_py.srv import DescribeMachine
 from mobo_tuner.core.dataset import Evaluation
 from mobo_tuner.core.problem import Constraint, Objective, Observable, Problem, Variable
 
@@ -44,6 +45,17 @@ def measurements_of(named: Iterable[msg.NamedValue]) -> dict[str, tuple[float, f
     return {item.name: (item.value, item.stddev) for item in named}
 
 
+def machine_facts(
+    machine: DescribeMachine.Response,
+) -> tuple[dict[str, tuple[float, float]], dict[str, str], dict[str, str]]:
+    """What a machine says of itself, as `Problem.check_machine` takes it."""
+    return (
+        {v.name: (v.min, v.max) for v in machine.variables},
+        {d.name: d.unit for d in machine.diagnostics},
+        {v.name: v.unit for v in machine.variables},
+    )
+
+
 def problem_units(problem: Problem) -> dict[str, str]:
     """The unit of every quantity that the problem names."""
     quantities: tuple[Constraint | Observable | Objective | Variable, ...] = (
@@ -55,9 +67,24 @@ def problem_units(problem: Problem) -> dict[str, str]:
     return {quantity.name: quantity.unit for quantity in quantities if quantity.unit}
 
 
+def constraint_messages(problem: Problem, critical_only: bool = False) -> list[msg.Constraint]:
+    """The problem's constraints, or the critical ones among them."""
+    units = problem_units(problem)
+    return [
+        msg.Constraint(
+            name=c.name,
+            unit=units.get(c.name, ""),
+            min=c.minimum,
+            max=c.maximum,
+            critical=c.critical,
+        )
+        for c in problem.constraints
+        if c.critical or not critical_only
+    ]
+
+
 def problem_message(problem: Problem, run_id: str, stamp: Time) -> msg.Problem:
     """The problem of a run, as it is published."""
-    units = problem_units(problem)
     return msg.Problem(
         stamp=stamp,
         run_id=run_id,
@@ -79,10 +106,7 @@ def problem_message(problem: Problem, run_id: str, stamp: Time) -> msg.Problem:
             )
             for o in problem.objectives
         ],
-        constraints=[
-            msg.Constraint(name=c.name, unit=units.get(c.name, ""), min=c.minimum, max=c.maximum)
-            for c in problem.constraints
-        ],
+        constraints=constraint_messages(problem),
         observables=[msg.Observable(name=o.name, unit=o.unit) for o in problem.observables],
     )
 

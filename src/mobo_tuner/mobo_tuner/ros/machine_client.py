@@ -1,26 +1,29 @@
-"""The machine as the tuner sees it: one evaluation at a time, never waited for without end."""
+"""The machine as its client sees it: one thing at a time, never waited for without end."""
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from builtin_interfaces.msg import Time
 from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
 from rclpy.node import Node
 from rclpy.task import Future
 
-from mobo_msgs_py.action import EvaluateSetpoint
+from mobo_msgs_py import msg
+from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint
 from mobo_msgs_py.srv import DescribeMachine
-from mobo_tuner.core.problem import Problem
-from mobo_tuner.ros.conversions import measurements_of, named_values, problem_units, values_of
+from mobo_tuner.ros.conversions import measurements_of, values_of
 from mobo_tuner.ros.waiting import first_of, until
 
 CANCEL_TIMEOUT = 0.6  # [s] for the machine to confirm that it stopped
+_RESULT = EvaluateSetpoint.Result
 
-FeedbackCallback = Callable[[EvaluateSetpoint.Feedback], None]
+FeedbackCallback = Callable[[Any], None]
 
 
 class MachineLostError(Exception):
@@ -29,7 +32,7 @@ class MachineLostError(Exception):
 
 @dataclass(frozen=True)
 class Answer:
-    """What became of one evaluation; the fields are those of `EvaluateSetpoint.Result`."""
+    """What became of an evaluation or a move; the fields are those of `EvaluateSetpoint.Result`."""
 
     error_code: int
     error_msg: str
@@ -40,12 +43,12 @@ class Answer:
 
 
 class MachineClient:
-    """Client of `describe_machine` and `evaluate_setpoint`.
+    """Client of `describe_machine`, `evaluate_setpoint` and `apply_setpoint`.
 
     Args:
         node: on whose executor every coroutine here runs.
         silence_timeout: how long the machine may say nothing before it counts as lost [s].
-        evaluation_timeout: how long one evaluation may take [s].
+        evaluation_timeout: how long one evaluation or move may take [s].
     """
 
     def __init__(self, node: Node, silence_timeout: float, evaluation_timeout: float) -> None:
@@ -54,9 +57,11 @@ class MachineClient:
         self._evaluation_timeout = evaluation_timeout
         self._describe = node.create_client(DescribeMachine, "describe_machine")
         self._evaluate = ActionClient(node, EvaluateSetpoint, "evaluate_setpoint")
-        self._heard = 0.0  # when the machine was last heard, time.monotonic()
+        self._apply = ActionClient(node, ApplySetpoint, "apply_setpoint")
 
-    async def describe(self, interrupt: Future, timeout: float) -> DescribeMachine.Response | None:
+    async def describe(
+        self, timeout: float, *interrupts: Future
+    ) -> DescribeMachine.Response | None:
         """Wait for the machine and ask what it can do; None when interrupted.
 
         Raises:
@@ -67,92 +72,41 @@ class MachineClient:
             return self._describe.service_is_ready() and self._evaluate.server_is_ready()
 
         deadline = time.monotonic() + timeout
-        if await until(self._node, ready, interrupt, timeout=timeout):
-            while time.monotonic() < deadline and not interrupt.done():
+        if await until(self._node, ready, *interrupts, timeout=timeout):
+            while time.monotonic() < deadline and not _any_done(interrupts):
                 # A request sent right after discovery may be lost, so it is asked again.
                 request = self._describe.call_async(DescribeMachine.Request())
-                done = await first_of(self._node, request, interrupt, timeout=1.0)
+                done = await first_of(self._node, request, *interrupts, timeout=1.0)
                 if done is request:
                     return request.result()
                 self._describe.remove_pending_request(request)
-        if interrupt.done():
+        if _any_done(interrupts):
             return None
         raise MachineLostError(
             f"no machine answered on '{self._describe.srv_name}' within {timeout:g} s"
         )
 
     async def evaluate(
-        self,
-        problem: Problem,
-        run_id: str,
-        index: int,
-        setpoint: Mapping[str, float],
-        shots: int,
-        interrupt: Future,
-        on_feedback: FeedbackCallback,
+        self, goal: EvaluateSetpoint.Goal, on_feedback: FeedbackCallback, *interrupts: Future
     ) -> Answer:
-        """Have one set-point evaluated; when `interrupt` is done the machine is told to stop.
+        """Have one set-point evaluated; when one of `interrupts` is done the machine is stopped.
+
+        An answer that is not to this goal is dropped, and counts as an evaluation that failed.
 
         Raises:
-            MachineLostError: it refused the goal, fell silent or took too long.
+            MachineLostError: the machine refused the goal, fell silent or took too long.
         """
-        goal = EvaluateSetpoint.Goal(
-            run_id=run_id,
-            index=index,
-            setpoint=named_values(setpoint, problem_units(problem)),
-            shots=shots,
-        )
-        self._heard = time.monotonic()
-
-        def heard(message: Any) -> None:
-            self._heard = time.monotonic()
-            on_feedback(message.feedback)
-
-        sent = self._evaluate.send_goal_async(goal, feedback_callback=heard)
-        if await self._answered(sent, interrupt) is None:
-            # The goal may be accepted after all: whoever is told so must stop it.
-            sent.add_done_callback(self._cancel_late)
+        what = f"evaluation {goal.index}, attempt {goal.attempt} of run '{goal.run_id}'"
+        result = await self._carry_out(self._evaluate, goal, what, on_feedback, interrupts)
+        if result is None:
             return self._canceled()
-        handle = sent.result()
-        if not handle.accepted:
-            raise MachineLostError("the machine refused the goal without a reason")
-        finished = handle.get_result_async()
-        try:
-            if await self._answered(finished, interrupt) is None:
-                handle.cancel_goal_async()
-                await first_of(self._node, finished, timeout=CANCEL_TIMEOUT)
-                return self._answer(finished, goal) if finished.done() else self._canceled()
-        except MachineLostError:
-            handle.cancel_goal_async()
-            raise
-        return self._answer(finished, goal)
-
-    async def _answered(self, future: Future, interrupt: Future) -> Future | None:
-        """Wait for `future`; None when interrupted."""
-        started = time.monotonic()
-        while True:
-            patience = min(self._heard + self._silence_timeout, started + self._evaluation_timeout)
-            remaining = patience - time.monotonic()
-            if remaining <= 0.0:
-                waited = time.monotonic() - self._heard
-                if waited < self._silence_timeout:
-                    raise MachineLostError(
-                        f"the evaluation did not end within {self._evaluation_timeout:g} s"
-                    )
-                raise MachineLostError(f"the machine has been silent for {waited:.1f} s")
-            done = await first_of(self._node, future, interrupt, timeout=remaining)
-            if done is future:
-                return future
-            if done is interrupt:
-                return None
-
-    def _answer(self, finished: Future, goal: EvaluateSetpoint.Goal) -> Answer:
-        result: EvaluateSetpoint.Result = finished.result().result
-        if (result.run_id, result.index) != (goal.run_id, goal.index):
-            raise MachineLostError(
-                f"the machine answered for evaluation {result.index} of run '{result.run_id}', "
-                f"not for {goal.index} of '{goal.run_id}'"
+        if (result.run_id, result.index, result.attempt) != (goal.run_id, goal.index, goal.attempt):
+            foreign = (
+                f"the machine answered for evaluation {result.index}, attempt {result.attempt} of "
+                f"run '{result.run_id}', not for {what}"
             )
+            self._node.get_logger().warning(f"{foreign}; that answer is dropped")
+            return Answer(_RESULT.UNKNOWN, foreign, self._now())
         return Answer(
             error_code=result.error_code,
             error_msg=result.error_msg,
@@ -162,14 +116,181 @@ class MachineClient:
             machine_seconds=result.machine_seconds,
         )
 
-    def _canceled(self) -> Answer:
+    async def apply(
+        self,
+        setpoint: Sequence[msg.NamedValue],
+        on_feedback: FeedbackCallback,
+        *interrupts: Future,
+        cancel: bool = True,
+    ) -> Answer:
+        """Have the machine go to a set-point, ramped and verified.
+
+        Args:
+            setpoint: every variable once.
+            on_feedback: is told of feedback.
+            interrupts: when one of them is done, this returns.
+            cancel: whether the machine is stopped then; else it finishes the move by itself.
+
+        Raises:
+            MachineLostError: as in `evaluate`, or the machine does not offer it.
+        """
+        if not self._apply.server_is_ready():
+            raise MachineLostError("the machine does not offer 'apply_setpoint'")
+        goal = ApplySetpoint.Goal(setpoint=list(setpoint))
+        result = await self._carry_out(
+            self._apply, goal, "a move", on_feedback, interrupts, cancel=cancel
+        )
+        if result is None:
+            return self._canceled()
         return Answer(
-            EvaluateSetpoint.Result.CANCELED,
-            "the evaluation was stopped",
-            self._node.get_clock().now().to_msg(),
+            result.error_code, result.error_msg, result.stamp, values_of(result.readbacks)
         )
 
-    @staticmethod
-    def _cancel_late(sent: Future) -> None:
-        if not sent.cancelled() and sent.exception() is None and sent.result().accepted:
-            sent.result().cancel_goal_async()
+    async def where(self, *interrupts: Future) -> dict[str, float] | None:
+        """Where the machine is, by its readbacks; nothing moves. None when interrupted.
+
+        It is asked to go nowhere at all, which it refuses, saying where it is.
+
+        Raises:
+            MachineLostError: it does not say.
+        """
+        answer = await self.apply([], lambda _: None, *interrupts)
+        if answer.error_code == _RESULT.CANCELED:
+            return None
+        where = {n: v for n, v in answer.readbacks.items() if math.isfinite(v)}
+        if not where:
+            raise MachineLostError("the machine does not say where it is")
+        return where
+
+    async def send_off(self, setpoint: Sequence[msg.NamedValue], timeout: float) -> bool:
+        """Have the machine go to a set-point by itself: only its acceptance is waited for."""
+        if not self._apply.server_is_ready():
+            return False
+        sent = self._apply.send_goal_async(ApplySetpoint.Goal(setpoint=list(setpoint)))
+        done = await first_of(self._node, sent, timeout=timeout)
+        return done is not None and sent.result().accepted
+
+    async def _carry_out(
+        self,
+        client: ActionClient,
+        goal: Any,
+        what: str,
+        on_feedback: FeedbackCallback,
+        interrupts: Sequence[Future],
+        cancel: bool = True,
+    ) -> Any:
+        """The result of a goal; None when it was interrupted and the machine did not say more.
+
+        Raises:
+            MachineLostError: it refused the goal, fell silent or took too long.
+        """
+        patience = _Patience(self._silence_timeout, self._evaluation_timeout, what)
+
+        def heard(message: Any) -> None:
+            if not patience.over:  # what comes later is of no concern
+                patience.heard()
+                on_feedback(message.feedback)
+
+        sent = client.send_goal_async(goal, feedback_callback=heard)
+        try:
+            if not await self._answered(sent, patience, interrupts):
+                return None
+            handle = sent.result()
+            if not handle.accepted:
+                raise MachineLostError("the machine refused the goal without a reason")
+            finished = handle.get_result_async()
+            try:
+                if not await self._answered(finished, patience, interrupts):
+                    if not cancel:
+                        return None
+                    handle.cancel_goal_async()
+                    await first_of(self._node, finished, timeout=CANCEL_TIMEOUT)
+                    return finished.result().result if finished.done() else None
+            except MachineLostError:
+                handle.cancel_goal_async()
+                raise
+            finally:
+                if not finished.done():
+                    finished.add_done_callback(lambda _: self._drop_late(what))
+            return finished.result().result
+        finally:
+            patience.over = True
+            if cancel and not sent.done():
+                # The goal may be accepted after all: whoever is told so must stop it.
+                sent.add_done_callback(_cancel_late)
+
+    async def _answered(
+        self, future: Future, patience: _Patience, interrupts: Sequence[Future]
+    ) -> bool:
+        """Wait for `future`; False when interrupted.
+
+        Raises:
+            MachineLostError: there is no more patience.
+        """
+        while not future.done():
+            remaining = patience.remaining()
+            done = await first_of(self._node, future, *interrupts, timeout=remaining)
+            if done is not None and done is not future:
+                return False
+        return True
+
+    def _drop_late(self, what: str) -> None:
+        self._node.get_logger().warning(f"the answer to {what} came too late and is dropped")
+
+    def _canceled(self) -> Answer:
+        return Answer(_RESULT.CANCELED, "the machine was stopped", self._now())
+
+    def _now(self) -> Time:
+        return self._node.get_clock().now().to_msg()
+
+
+class _Patience:
+    """How long to wait for the machine yet.
+
+    Attributes:
+        over: nobody waits any more.
+    """
+
+    def __init__(self, silence_timeout: float, whole_timeout: float, what: str) -> None:
+        self._silence_timeout = silence_timeout
+        self._whole_timeout = whole_timeout
+        self._what = what
+        self._started = self._heard = time.monotonic()
+        self.over = False
+
+    def heard(self) -> None:
+        """The machine said something."""
+        self._heard = time.monotonic()
+
+    def remaining(self) -> float:
+        """Seconds from now.
+
+        Raises:
+            MachineLostError: there are none left.
+        """
+        now = time.monotonic()
+        if now - self._heard >= self._silence_timeout:
+            raise MachineLostError(f"the machine has been silent for {now - self._heard:.1f} s")
+        if now - self._started >= self._whole_timeout:
+            raise MachineLostError(f"{self._what} did not end within {self._whole_timeout:g} s")
+        return min(
+            self._heard + self._silence_timeout - now, self._started + self._whole_timeout - now
+        )
+
+
+def clip_to_limits(
+    setpoint: Mapping[str, float], variables: Sequence[msg.Variable]
+) -> dict[str, float]:
+    """A set-point made of readbacks, which may lie a hair outside, within the machine's limits."""
+    return {v.name: min(max(setpoint[v.name], v.min), v.max) for v in variables}
+
+
+def _any_done(futures: Sequence[Future]) -> bool:
+    return any(future.done() for future in futures)
+
+
+def _cancel_late(sent: Future) -> None:
+    if not sent.cancelled() and sent.exception() is None:
+        handle: ClientGoalHandle = sent.result()
+        if handle.accepted:
+            handle.cancel_goal_async()

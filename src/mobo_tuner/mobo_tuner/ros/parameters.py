@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mobo_tuner.core.problem import SECTIONS, Problem, ProblemError
+from mobo_tuner.core.problem import ProblemError
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -20,7 +20,10 @@ ParameterValue = bool | int | float | str
 
 @dataclass(frozen=True)
 class ParameterSpec:
-    """One parameter of a node; its type is that of `default`. All are read when the node starts."""
+    """One parameter of a node; its type is that of `default`.
+
+    It is read when the node starts; only a `writable` one may be set later.
+    """
 
     name: str
     default: ParameterValue
@@ -28,6 +31,7 @@ class ParameterSpec:
     minimum: float = -math.inf
     maximum: float = math.inf
     choices: tuple[str, ...] = ()
+    writable: bool = False
 
     def check(self, value: object, where: str = "") -> ParameterValue:
         """The value as this parameter's type.
@@ -84,7 +88,12 @@ TUNER = (
     ),
     ParameterSpec("seed", 0, "of every random choice of a run", minimum=0, maximum=2**31 - 1),
     ParameterSpec(
-        "evaluations", 60, "budget of a run whose goal names none", minimum=1, maximum=100_000
+        "evaluations",
+        60,
+        "budget of a run whose goal names none; set while a run goes on, it is that run's budget",
+        minimum=1,
+        maximum=100_000,
+        writable=True,
     ),
     ParameterSpec(
         "initial_evaluations",
@@ -138,6 +147,64 @@ TUNER = (
         minimum=1,
         maximum=100_000,
     ),
+    ParameterSpec(
+        "on_failure",
+        "skip",
+        "after a failed evaluation: try it again, learn from it and go on, or end the run",
+        choices=("retry", "skip", "abort"),
+    ),
+    ParameterSpec(
+        "max_attempts",
+        3,
+        "how often an evaluation is tried before it counts as failed, where on_failure is retry",
+        minimum=1,
+        maximum=1000,
+    ),
+    ParameterSpec(
+        "retry_delay",
+        1.0,
+        "before the second attempt; it doubles with every further one, up to 60 s [s]",
+        minimum=0.0,
+        maximum=60.0,
+    ),
+    ParameterSpec(
+        "machine_return_timeout",
+        0.0,
+        "how long a run waits for a machine that was lost before it ends with an error [s]",
+        minimum=0.0,
+        maximum=604_800.0,
+    ),
+    ParameterSpec(
+        "on_abort",
+        "hold",
+        "where the tuner sends the machine after a cancel, a stop or an error",
+        choices=("hold", "restore", "best"),
+    ),
+    ParameterSpec(
+        "on_violation",
+        "hold",
+        "where the machine goes when a critical constraint is violated",
+        choices=("hold", "restore", "best"),
+    ),
+    ParameterSpec(
+        "on_client_lost",
+        "hold",
+        "where the machine goes when the tuner's heartbeat stops",
+        choices=("hold", "restore", "best"),
+    ),
+    ParameterSpec(
+        "pause_on_violation",
+        False,
+        "whether a run pauses, until someone says resume or step, after a violation",
+    ),
+    ParameterSpec(
+        "client_timeout",
+        5.0,
+        "silence of the tuner's heartbeat after which the machine counts it as lost; "
+        "0 = it does not watch [s]",
+        minimum=0.0,
+        maximum=3600.0,
+    ),
 )
 
 RECORDER = (
@@ -166,17 +233,6 @@ CONSOLE = (
     ),
 )
 
-_PROBLEM_DESCRIPTIONS = {
-    ("variables", "min"): "lower bound of the search",
-    ("variables", "max"): "upper bound of the search",
-    ("variables", "cost"): "relative cost of changing the variable",
-    ("objectives", "direction"): "minimize or maximize",
-    ("objectives", "reference"): "component of the reference point",
-    ("objectives", "truncation"): "side [A, B] of the truncation box",
-    ("constraints", "min"): "least value that is feasible",
-    ("constraints", "max"): "greatest value that is feasible",
-}
-
 
 def check_section(
     where: str, section: Mapping[str, Any], specs: Sequence[ParameterSpec]
@@ -196,7 +252,7 @@ def check_section(
 
 
 def declare(node: Node, specs: Sequence[ParameterSpec]) -> dict[str, Any]:
-    """Declare parameters read-only with description and range, and return their values.
+    """Declare parameters with description and range, and return their values.
 
     Raises:
         ProblemError: a value is of the wrong type or not allowed.
@@ -209,7 +265,7 @@ def declare(node: Node, specs: Sequence[ParameterSpec]) -> dict[str, Any]:
             name=spec.name,
             description=spec.description,
             additional_constraints=spec.range_text,
-            read_only=True,
+            read_only=not spec.writable,
             dynamic_typing=True,  # so that `speed: 100` may stand for 100.0; checked below
         )
         if node.has_parameter(spec.name):
@@ -219,37 +275,3 @@ def declare(node: Node, specs: Sequence[ParameterSpec]) -> dict[str, Any]:
             value = node.declare_parameter(spec.name, spec.default, descriptor).value
         values[spec.name] = spec.check(value)
     return values
-
-
-def declare_problem(node: Node) -> Problem:
-    """Build the problem from the parameters under `variables`, `objectives`, and so on.
-
-    The node must declare its parameters from overrides, since only the file knows their names.
-
-    Raises:
-        ProblemError: they do not make up a problem.
-    """
-    from rcl_interfaces.msg import ParameterDescriptor
-
-    nested: dict[str, Any] = {}
-    for section in SECTIONS:
-        parameters: Mapping[str, Any] = node.get_parameters_by_prefix(section)
-        for key, parameter in parameters.items():
-            branch = nested.setdefault(section, {})
-            *path, leaf = key.split(".")
-            for part in path:
-                branch = branch.setdefault(part, {})
-                if not isinstance(branch, dict):
-                    raise ProblemError(f"'{section}.{key}' stands below a value")
-            value = parameter.value
-            branch[leaf] = list(value) if hasattr(value, "tolist") else value
-            node.set_descriptor(
-                f"{section}.{key}",
-                ParameterDescriptor(
-                    name=f"{section}.{key}",
-                    description=_PROBLEM_DESCRIPTIONS.get((section, leaf), ""),
-                    read_only=True,
-                    dynamic_typing=True,
-                ),
-            )
-    return Problem.from_dict(nested)

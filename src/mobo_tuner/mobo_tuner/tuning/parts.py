@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from builtin_interfaces.msg import Time
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
+from rclpy.task import Future
 
 from mobo_tuner.ros.machine_client import MachineClient
 from mobo_tuner.ros.worker import Worker
+from mobo_tuner.tuning.heartbeat import Heartbeat
 from mobo_tuner.tuning.publishers import TunerPublishers
 from mobo_tuner.tuning.status import Status
 
@@ -21,15 +22,19 @@ class TunerParts:
     """The node, its parameters, and what everything else works with.
 
     Attributes:
+        parameters: as they are now; some may be set while the node runs.
         worker: the thread in which the optimiser works, and nobody else.
+        stopping: done when this process is asked to end.
     """
 
     node: Node
-    parameters: Mapping[str, Any]
+    parameters: dict[str, Any]
     worker: Worker
     machine: MachineClient
     publishers: TunerPublishers
     status: Status
+    heartbeat: Heartbeat
+    stopping: Future
 
     @property
     def log(self) -> RcutilsLogger:

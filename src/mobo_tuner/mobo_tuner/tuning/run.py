@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from builtin_interfaces.msg import Time
 from rclpy.task import Future
 
 from mobo_msgs_py import msg
+from mobo_msgs_py.action import EvaluateSetpoint
+from mobo_msgs_py.srv import DescribeMachine
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.core.optimizer import Source
+from mobo_tuner.core.dataset import Measured
 from mobo_tuner.journal import Journal
 from mobo_tuner.ros.conversions import (
     evaluation_message,
     front_message,
+    machine_facts,
     measurements_of,
     named_values,
     problem_units,
@@ -23,8 +27,14 @@ from mobo_tuner.ros.conversions import (
     values_of,
 )
 from mobo_tuner.ros.machine_client import Answer
+from mobo_tuner.tuning.steering import Change, Steering
 
-_SOURCES = {"initial": msg.Evaluation.INITIAL, "model": msg.Evaluation.MODEL}
+Source = Literal["initial", "model", "operator"]
+SOURCES: dict[Source, int] = {
+    "initial": msg.Evaluation.INITIAL,
+    "model": msg.Evaluation.MODEL,
+    "operator": msg.Evaluation.OPERATOR,
+}
 
 
 class RunError(Exception):
@@ -43,9 +53,16 @@ class Suggestion(NamedTuple):
     seconds: float
 
 
+class Outcome(NamedTuple):
+    """The last answer to an evaluation, and how often it was tried."""
+
+    answer: Answer
+    attempts: int
+
+
 @dataclass
 class Run:
-    """What belongs to one Tune goal.
+    """What belongs to one run.
 
     Attributes:
         run_id: its name.
@@ -55,9 +72,11 @@ class Run:
         goal_id: of the Tune goal.
         interrupt: done when the run shall stop; its result says why.
         journal: where one is kept.
-        index: of the next evaluation, which is the number of finished ones.
-        failed, feasible: evaluations among the finished ones.
-        consecutive_failures: at the end of the finished ones.
+        steering: what operators asked for.
+        machine: what it says of itself; None before it was met.
+        state_before: where the machine was before the run; None where nobody asked.
+        evaluating: whether the machine is at it.
+        consecutive_failures: at the end of the finished evaluations.
         step_started: when the evaluation before ended, by `time.perf_counter` [s].
     """
 
@@ -68,9 +87,10 @@ class Run:
     goal_id: bytes
     interrupt: Future
     journal: Journal | None = None
-    index: int = 0
-    failed: int = 0
-    feasible: int = 0
+    steering: Steering = field(default_factory=Steering)
+    machine: DescribeMachine.Response | None = None
+    state_before: dict[str, float] | None = None
+    evaluating: bool = False
     consecutive_failures: int = 0
     step_started: float = field(default_factory=time.perf_counter)
 
@@ -78,6 +98,21 @@ class Run:
     def problem(self) -> Problem:
         """What is tuned."""
         return self.optimizer.problem
+
+    @property
+    def index(self) -> int:
+        """Of the next evaluation, which is the number of finished ones."""
+        return len(self.optimizer.dataset)
+
+    @property
+    def failed(self) -> int:
+        """Number of finished evaluations that are not valid."""
+        return sum(not e.valid for e in self.optimizer.dataset.evaluations)
+
+    @property
+    def feasible(self) -> int:
+        """Number of finished evaluations that are feasible."""
+        return sum(e.feasible for e in self.optimizer.dataset.evaluations)
 
     @property
     def interrupted(self) -> bool:
@@ -89,10 +124,24 @@ class Run:
         """Whether the hypervolume that was asked for is reached."""
         return 0.0 < self.hypervolume_goal <= self.optimizer.hypervolume
 
+    @property
+    def finished(self) -> bool:
+        """Whether it is done."""
+        return self.goal_met or self.index >= self.budget
+
     def stop(self, reason: str) -> None:
         """Ask the run to stop; the first reason counts."""
         if not self.interrupt.done():
             self.interrupt.set_result(reason)
+
+    def meet(self, machine: DescribeMachine.Response) -> None:
+        """Check that a machine suits the problem, and remember what it says of itself.
+
+        Raises:
+            ProblemError: it does not suit.
+        """
+        self.problem.check_machine(*machine_facts(machine))
+        self.machine = machine
 
     def front(self, stamp: Time) -> msg.ParetoFront:
         """The Pareto front as it is now."""
@@ -107,11 +156,13 @@ class Run:
         setpoint = self.optimizer.ask()
         return Suggestion(setpoint, self.optimizer.last_source, time.perf_counter() - started)
 
-    def learn(self, suggested: Suggestion, answer: Answer) -> msg.Evaluation:
+    def learn(self, suggested: Suggestion, outcome: Outcome) -> msg.Evaluation:
         """Tell the optimiser and the journal what a suggestion led to, a failed evaluation too."""
-        evaluation = self.optimizer.tell(suggested.setpoint, answer.diagnostics)
+        answer = outcome.answer
+        evaluation = self.optimizer.tell(suggested.setpoint, self._outputs(answer))
         message = evaluation_message(self.problem, evaluation, self.run_id, answer.stamp)
-        message.source = _SOURCES[suggested.source]
+        message.source = SOURCES[suggested.source]
+        message.attempts = outcome.attempts
         message.readbacks = named_values(answer.readbacks, problem_units(self.problem))
         front = self.optimizer.pareto_front()
         message.non_dominated = any(point["index"] == evaluation.index for point in front)
@@ -124,11 +175,48 @@ class Run:
         message.total_seconds, self.step_started = now - self.step_started, now
         if self.journal is not None:
             self.journal.append(_journal_record(message, suggested.source))
-        self.index += 1
-        self.failed += not message.valid
-        self.feasible += message.feasible
-        self.consecutive_failures = 0 if message.valid else self.consecutive_failures + 1
+        if answer.error_code != EvaluateSetpoint.Result.CANCELED:  # an operator's wish is no fault
+            self.consecutive_failures = 0 if message.valid else self.consecutive_failures + 1
         return message
+
+    def apply(self, change: Change, stamp: float) -> None:
+        """Go on with another problem or budget, which the journal keeps.
+
+        Raises:
+            ProblemError: the optimiser cannot; nothing is changed.
+            OSError: the journal cannot be written.
+        """
+        if change.problem != self.problem:
+            self.optimizer = self.optimizer.with_problem(change.problem)
+        self.budget = change.budget
+        if self.journal is not None:
+            self.journal.append(
+                {
+                    "type": "change",
+                    "stamp": stamp,
+                    "index": self.index,
+                    "problem": change.problem.to_dict(),
+                    "budget": change.budget,
+                }
+            )
+
+    def _outputs(self, answer: Answer) -> dict[str, Measured | None]:
+        """What an answer teaches; one that failed must not pass for a valid evaluation."""
+        outputs: dict[str, Measured | None] = dict(answer.diagnostics)
+        needed = self.problem.required_diagnostics
+        measured = not missing_diagnostics(self.problem, answer)
+        if answer.error_code and measured:
+            return {name: value for name, value in outputs.items() if name not in needed}
+        return outputs
+
+
+def missing_diagnostics(problem: Problem, answer: Answer) -> list[str]:
+    """The needed diagnostics that an answer lacks."""
+    return [
+        name
+        for name in problem.required_diagnostics
+        if not math.isfinite(answer.diagnostics.get(name, (math.nan, math.nan))[0])
+    ]
 
 
 def _journal_record(message: msg.Evaluation, source: str) -> dict[str, Any]:
@@ -136,6 +224,7 @@ def _journal_record(message: msg.Evaluation, source: str) -> dict[str, Any]:
         "type": "evaluation",
         "index": message.index,
         "source": source,
+        "attempts": message.attempts,
         "stamp": seconds(message.stamp),
         "setpoint": values_of(message.setpoint),
         "readbacks": values_of(message.readbacks),

@@ -10,15 +10,16 @@ from rclpy.task import Future
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_tuner.core import ProblemError
-from mobo_tuner.ros.conversions import problem_message
-from mobo_tuner.ros.machine_client import Answer, MachineLostError
+from mobo_tuner.ros.conversions import problem_message, seconds
+from mobo_tuner.ros.machine_client import MachineLostError
 from mobo_tuner.ros.waiting import first_of
+from mobo_tuner.tuning.attempts import Attempts
+from mobo_tuner.tuning.ends import Ends
 from mobo_tuner.tuning.parts import TunerParts
-from mobo_tuner.tuning.run import Run, RunError, Suggestion
+from mobo_tuner.tuning.run import Outcome, Run, RunError, Suggestion
+from mobo_tuner.tuning.steering import check_bounds
 
-_RESULT = EvaluateSetpoint.Result
-# What the machine did go for and could not measure: an evaluation that failed, to be learned from.
-_FAILED_EVALUATION = (_RESULT.TIMEOUT, _RESULT.INVALID_MEASUREMENT, _RESULT.UNKNOWN)
+PAUSE_PERIOD = 3600.0  # [s] after which a paused run looks round, with nothing to see
 
 Teller = Callable[[msg.Evaluation], None]
 
@@ -28,13 +29,16 @@ class RunLoop:
 
     Args:
         parts: of the tuner's node.
+        ends: where the machine goes when something happens.
     """
 
-    def __init__(self, parts: TunerParts) -> None:
+    def __init__(self, parts: TunerParts, ends: Ends) -> None:
         self._parts = parts
+        self._ends = ends
+        self._attempts = Attempts(parts, ends)
 
     async def carry_out(self, run: Run, tell: Teller) -> None:
-        """Go on with a run until it is done or interrupted.
+        """Go on with a run until it is done, interrupted or asked to end.
 
         Args:
             run: that has begun.
@@ -47,57 +51,106 @@ class RunLoop:
         await self._meet_machine(run)
         run.step_started = time.perf_counter()
         suggestion = self._parts.worker.submit(run.suggest)
-        while not run.interrupted:
-            message = await self._step(run, suggestion)
-            if message is None:
+        while not run.finished:
+            suggested = await self._next(run, suggestion)
+            if suggested is None:
                 return
-            finished = run.goal_met or run.index >= run.budget
-            if not finished:  # computed while the world is told of this evaluation
+            outcome = await self._evaluate(run, suggested)
+            if outcome is None:
+                return
+            message = await self._parts.worker.submit(run.learn, suggested, outcome)
+            run.steering.forget_skip()
+            if not run.finished:  # computed while the world is told of this evaluation
                 suggestion = self._parts.worker.submit(run.suggest)
             self._report(run, message)
             tell(message)
             self._judge(run, message)
-            if finished:
-                return
+
+    # ------------------------------------------------------------------ the start
 
     def _announce(self, run: Run) -> None:
+        self._parts.status.set(
+            state=msg.TunerStatus.WAITING, run_id=run.run_id, phase="", fraction=0.0, message=""
+        )
+        self._publish_all(run)
+
+    def _publish_all(self, run: Run) -> None:
+        """What is tuned and what there is of it, when a run begins or its problem changes."""
         parts = self._parts
         parts.publishers.problem(problem_message(run.problem, run.run_id, parts.now()))
         parts.publishers.front(run.front(parts.now()))
-        parts.status.set(
-            state=msg.TunerStatus.WAITING,
-            run_id=run.run_id,
+        self._publish_figures(run)
+
+    def _publish_figures(self, run: Run) -> None:
+        self._parts.status.set(
             budget=run.budget,
             evaluations=run.index,
             failed=run.failed,
             feasible=run.feasible,
             hypervolume=run.optimizer.hypervolume,
-            message="",
         )
 
     async def _meet_machine(self, run: Run) -> None:
-        try:
-            machine = await self._parts.machine.describe(
-                run.interrupt, self._parts.parameters["discovery_timeout"]
-            )
-        except MachineLostError as error:
-            raise RunError(Tune.Result.MACHINE_UNAVAILABLE, str(error)) from None
-        if machine is None:
-            return
-        try:
-            run.problem.check_machine(
-                {v.name: (v.min, v.max) for v in machine.variables},
-                {d.name: d.unit for d in machine.diagnostics},
-                {v.name: v.unit for v in machine.variables},
-            )
-        except ProblemError as error:
-            raise RunError(Tune.Result.MACHINE_UNAVAILABLE, str(error)) from None
-        self._parts.log.info(f"run '{run.run_id}' tunes '{machine.name}'")
-
-    async def _step(self, run: Run, suggestion: Future) -> msg.Evaluation | None:
-        """One evaluation; None when it was interrupted, which leaves no trace in the data."""
         parts = self._parts
-        parts.status.set(state=msg.TunerStatus.SUGGESTING, phase="", fraction=0.0)
+        try:
+            machine = await parts.machine.describe(
+                parts.parameters["discovery_timeout"], run.interrupt
+            )
+            if machine is None:
+                return
+            run.meet(machine)
+        except (MachineLostError, ProblemError) as error:
+            raise RunError(Tune.Result.MACHINE_UNAVAILABLE, str(error)) from None
+        await self._ends.prepare(run)
+        parts.log.info(f"run '{run.run_id}' tunes '{machine.name}'")
+
+    # ------------------------------------------------------------------ between two evaluations
+
+    async def _next(self, run: Run, suggestion: Future) -> Suggestion | None:
+        """What to evaluate next, once the run may; None when it shall not go on.
+
+        One suggestion is made for every evaluation, whatever becomes of it, so that a run depends
+        on what was asked of it and not on the moment.
+        """
+        steering = run.steering
+        while True:
+            if run.interrupted or steering.stopping:
+                return None
+            if steering.change is not None:
+                if await self._suggested(run, suggestion) is None:
+                    return None
+                await self._apply_change(run)
+                if run.finished:
+                    return None
+                suggestion = self._parts.worker.submit(run.suggest)
+            suggested = await self._suggested(run, suggestion)
+            if run.interrupted or suggested is None:
+                return None
+            if steering.change is not None or steering.stopping:
+                continue
+            if not steering.waits:
+                break
+            self._parts.status.set(
+                state=msg.TunerStatus.PAUSED, message=f"paused before evaluation {run.index}"
+            )
+            await first_of(self._parts.node, run.interrupt, steering.news, timeout=PAUSE_PERIOD)
+        self._parts.status.set(message="")
+        steering.take_step()
+        while steering.queue:
+            setpoint = steering.queue.popleft()
+            try:
+                check_bounds(run.problem, setpoint)  # which may have changed since
+            except ProblemError as error:
+                self._parts.log.warning(f"a queued set-point is dropped: {error}")
+                continue
+            return Suggestion(setpoint, "operator", suggested.seconds)
+        return suggested
+
+    async def _suggested(self, run: Run, suggestion: Future) -> Suggestion | None:
+        """The suggestion, once it is computed; None when interrupted."""
+        parts = self._parts
+        if not suggestion.done():
+            parts.status.set(state=msg.TunerStatus.SUGGESTING, phase="", fraction=0.0)
         patience = parts.parameters["suggestion_timeout"]
         done = await first_of(parts.node, suggestion, run.interrupt, timeout=patience)
         if run.interrupted:
@@ -105,43 +158,22 @@ class RunLoop:
         if done is None:
             raise RunError(Tune.Result.INTERNAL, f"no suggestion came within {patience:g} s")
         suggested: Suggestion = suggestion.result()
+        return suggested
 
-        parts.status.set(state=msg.TunerStatus.EVALUATING)
-        answer = await self._evaluate(run, suggested.setpoint)
-        if answer.error_code == _RESULT.CANCELED:
-            if not run.interrupted:
-                raise RunError(
-                    Tune.Result.MACHINE_ERROR, f"the machine stopped: {answer.error_msg}"
-                )
-            return None
-        message: msg.Evaluation = await parts.worker.submit(run.learn, suggested, answer)
-        return message
+    async def _apply_change(self, run: Run) -> None:
+        change, run.steering.change = run.steering.change, None
+        assert change is not None
+        await self._parts.worker.submit(run.apply, change, seconds(self._parts.now()))
+        self._parts.log.info(f"run '{run.run_id}' is changed before evaluation {run.index}")
+        self._publish_all(run)
 
-    async def _evaluate(self, run: Run, setpoint: dict[str, float]) -> Answer:
-        def on_feedback(feedback: EvaluateSetpoint.Feedback) -> None:
-            self._parts.status.set(publish=False, phase=feedback.phase, fraction=feedback.fraction)
+    # ------------------------------------------------------------------ an evaluation
 
-        try:
-            answer = await self._parts.machine.evaluate(
-                run.problem,
-                run.run_id,
-                run.index,
-                setpoint,
-                self._parts.parameters["shots"],
-                run.interrupt,
-                on_feedback,
-            )
-        except MachineLostError as error:
-            raise RunError(Tune.Result.MACHINE_LOST, str(error)) from None
-        if answer.error_code == _RESULT.MACHINE_LOST:
-            raise RunError(Tune.Result.MACHINE_LOST, answer.error_msg)
-        expected = (_RESULT.NONE, _RESULT.CANCELED, *_FAILED_EVALUATION)
-        if answer.error_code not in expected:
-            raise RunError(
-                Tune.Result.MACHINE_ERROR,
-                f"the machine refused evaluation {run.index}: {answer.error_msg}",
-            )
-        return answer
+    async def _evaluate(self, run: Run, suggested: Suggestion) -> Outcome | None:
+        """What became of an evaluation; None when it was interrupted, which leaves no trace."""
+        if run.steering.skip.done():
+            return Outcome(self._attempts.skipped(), 0)
+        return await self._attempts.evaluate(run, suggested.setpoint)
 
     def _report(self, run: Run, message: msg.Evaluation) -> None:
         """Tell the world of an evaluation."""
@@ -149,27 +181,34 @@ class RunLoop:
         parts.publishers.evaluation(message)
         if message.non_dominated:
             parts.publishers.front(run.front(parts.now()))
-        parts.status.set(
-            evaluations=run.index,
-            failed=run.failed,
-            feasible=run.feasible,
-            hypervolume=message.hypervolume,
-        )
+        parts.status.set(publish=False, message="")
+        self._publish_figures(run)
 
     def _judge(self, run: Run, message: msg.Evaluation) -> None:
-        """End a run whose evaluations keep failing.
+        """After a failed evaluation, pause or end the run where the parameters say so.
 
         Raises:
-            RunError: too many failed in a row.
+            RunError: it ends.
         """
         if message.valid:
             return
-        self._parts.log.warning(
-            f"evaluation {message.index} failed: {message.error_msg or 'not fully measured'}"
-        )
-        limit = self._parts.parameters["max_consecutive_failures"]
+        reason = message.error_msg
+        self._parts.log.warning(f"evaluation {message.index} failed: {reason}")
+        parameters = self._parts.parameters
+        if message.error_code == EvaluateSetpoint.Result.CANCELED:
+            return
+        if parameters["on_failure"] == "abort":
+            raise RunError(
+                Tune.Result.MACHINE_ERROR, f"evaluation {message.index} failed: {reason}"
+            )
+        limit = parameters["max_consecutive_failures"]
         if run.consecutive_failures >= limit:
             raise RunError(
-                Tune.Result.MACHINE_ERROR,
-                f"{limit} evaluations failed in a row: {message.error_msg}",
+                Tune.Result.MACHINE_ERROR, f"{limit} evaluations failed in a row: {reason}"
             )
+        if (
+            message.error_code == EvaluateSetpoint.Result.VIOLATION
+            and parameters["pause_on_violation"]
+        ):
+            run.steering.paused = True
+            run.steering.steps = 0

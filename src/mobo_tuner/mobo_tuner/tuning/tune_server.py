@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.task import Future
@@ -10,6 +12,7 @@ from mobo_msgs_py import msg
 from mobo_msgs_py.action import Tune
 from mobo_tuner.core import Problem
 from mobo_tuner.ros.conversions import seconds
+from mobo_tuner.tuning.ends import Ends
 from mobo_tuner.tuning.parts import TunerParts
 from mobo_tuner.tuning.run import Run, RunError
 from mobo_tuner.tuning.run_loop import RunLoop
@@ -21,15 +24,20 @@ CANCELED = "a client canceled it"
 class TuneServer:
     """Serves `tune`, one run at a time.
 
+    Args:
+        parts: of the tuner's node.
+        problem: gives what a run that begins tunes.
+
     Attributes:
         run: the one that goes on; None while there is none.
     """
 
-    def __init__(self, parts: TunerParts, problem: Problem) -> None:
+    def __init__(self, parts: TunerParts, problem: Callable[[], Problem]) -> None:
         self.run: Run | None = None
         self._parts = parts
         self._problem = problem
-        self._loop = RunLoop(parts)
+        self._ends = Ends(parts)
+        self._loop = RunLoop(parts, self._ends)
         self._server = ActionServer(
             parts.node,
             Tune,
@@ -68,6 +76,7 @@ class TuneServer:
                 Tune.Feedback(evaluation=message, evaluations=run.index, budget=run.budget)
             )
 
+        self._parts.heartbeat.begin(run.run_id)
         try:
             await self._loop.carry_out(run, tell)
             result.stop_reason = _stop_reason(run)
@@ -83,8 +92,10 @@ class TuneServer:
             result.stop_reason = "error"
             self._parts.log.error(f"run '{run.run_id}' ends: {result.error_msg}")
         try:
+            await self._leave_machine(run, result)
             self._end(run, result)
         finally:
+            self._parts.heartbeat.end()
             self.run = None
             self._parts.status.set(state=msg.TunerStatus.IDLE, phase="", fraction=0.0)
         if result.error_code == Tune.Result.NONE:
@@ -105,12 +116,21 @@ class TuneServer:
             raise ValueError(f"run '{self.run.run_id}' is going on; one run at a time is allowed")
         return start_run(
             goal_handle.request,
-            self._problem,
+            self._problem(),
             self._parts.parameters,
             goal_id=bytes(goal_handle.goal_id.uuid),
             interrupt=Future(executor=self._parts.node.executor),
             stamp=seconds(self._parts.now()),
         )
+
+    async def _leave_machine(self, run: Run, result: Tune.Result) -> None:
+        """After a cancel, a stop or an error, leave the machine where `on_abort` says."""
+        if result.error_code in (Tune.Result.NONE, Tune.Result.MACHINE_LOST):
+            return
+        done = await self._ends.act(run)
+        if done:
+            result.error_msg += f"; {done}"
+            self._parts.log.info(f"run '{run.run_id}': {done}")
 
     def _end(self, run: Run, result: Tune.Result) -> None:
         """Fill in the result and close the journal."""
@@ -140,4 +160,6 @@ class TuneServer:
 def _stop_reason(run: Run) -> str:
     if run.interrupted:
         return "canceled"
+    if run.steering.stopping:
+        return "stopped"
     return "budget" if run.index >= run.budget else "hypervolume_goal"

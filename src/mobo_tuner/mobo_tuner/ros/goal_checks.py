@@ -1,0 +1,107 @@
+"""What must be right about a machine's goal before anything moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from mobo_msgs_py import msg
+from mobo_msgs_py.action import EvaluateSetpoint
+
+
+def check_setpoint(
+    named: Sequence[msg.NamedValue], variables: Sequence[msg.Variable], what: str = "set-point"
+) -> dict[str, float]:
+    """The values of a set-point, in the machine's order.
+
+    Args:
+        named: must name every variable once, within its limits, in its unit or without one.
+        variables: of the machine.
+        what: the set-point is called in messages.
+
+    Raises:
+        ValueError: the set-point is not allowed; the message is one sentence.
+    """
+    given = _by_name(named, what, "a variable")
+    names = [variable.name for variable in variables]
+    unknown = [name for name in given if name not in names]
+    if unknown:
+        raise ValueError(
+            f"{what} names {unknown[0]!r}, but the machine's variables are {', '.join(names)}"
+        )
+    missing = [name for name in names if name not in given]
+    if missing:
+        raise ValueError(
+            f"{what} lacks {missing[0]!r}; it must name all of the variables {', '.join(names)}"
+        )
+    for variable in variables:
+        item = given[variable.name]
+        _check_unit(item, variable, what)
+        if not (math.isfinite(item.value) and variable.min <= item.value <= variable.max):
+            unit = f" {variable.unit}" if variable.unit else ""
+            raise ValueError(
+                f"{what} {item.name} = {item.value:g}{unit} is outside the machine's limits, "
+                f"{variable.min:g} to {variable.max:g}{unit}"
+            )
+    return {name: given[name].value for name in names}
+
+
+def check_evaluation(
+    goal: EvaluateSetpoint.Goal,
+    variables: Sequence[msg.Variable],
+    diagnostics: Sequence[msg.Observable],
+    max_shots: int,
+) -> dict[str, float]:
+    """Everything in a goal that does not depend on the machine's state; its set-point's values.
+
+    Raises:
+        ValueError: something is not allowed; the message is one sentence.
+    """
+    setpoint = check_setpoint(goal.setpoint, variables)
+    for what in ("if_client_lost", "if_violated"):
+        if getattr(goal, what):
+            check_setpoint(getattr(goal, what), variables, what)
+    if goal.shots > max_shots:
+        raise ValueError(f"shots = {goal.shots} must be from 0 to {max_shots}")
+    _check_critical(goal.critical, diagnostics)
+    if not (math.isfinite(goal.client_timeout) and goal.client_timeout >= 0.0):
+        raise ValueError(f"client_timeout = {goal.client_timeout:g} must be finite and at least 0")
+    if goal.client_timeout > 0.0 and not goal.run_id:
+        raise ValueError("run_id is empty; with a client_timeout it must name the heartbeat's run")
+    return setpoint
+
+
+def _check_critical(
+    critical: Sequence[msg.Constraint], diagnostics: Sequence[msg.Observable]
+) -> None:
+    known = {diagnostic.name: diagnostic for diagnostic in diagnostics}
+    for limit in _by_name(critical, "critical", "a diagnostic").values():
+        if limit.name not in known:
+            raise ValueError(
+                f"critical names {limit.name!r}, but the machine's diagnostics are "
+                f"{', '.join(known)}"
+            )
+        _check_unit(limit, known[limit.name], "critical")
+        if not limit.min <= limit.max:  # also where one of them is NaN
+            raise ValueError(
+                f"critical {limit.name} has min = {limit.min:g} and max = {limit.max:g}; min must "
+                "not be above max"
+            )
+
+
+def _by_name(items: Iterable, what: str, kind: str) -> dict:
+    """Items by name; ValueError where one stands twice."""
+    by_name: dict = {}
+    for item in items:
+        if item.name in by_name:
+            raise ValueError(f"{what} names {kind} twice: {item.name!r}")
+        by_name[item.name] = item
+    return by_name
+
+
+def _check_unit(
+    given: msg.NamedValue | msg.Constraint, known: msg.Variable | msg.Observable, what: str
+) -> None:
+    if given.unit and given.unit != known.unit:
+        unit = f"{known.unit!r}" if known.unit else "none"
+        raise ValueError(f"{what} {given.name} is in {given.unit!r}; the machine's unit is {unit}")
