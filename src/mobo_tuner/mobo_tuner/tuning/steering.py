@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from mobo_msgs_py.srv import QueueSetpoint
 from mobo_tuner.core import Problem, ProblemError
-from mobo_tuner.ros.conversions import values_of
+from mobo_tuner.ros.conversions import seconds, values_of
 
 if TYPE_CHECKING:
     from mobo_tuner.tuning.parts import TunerParts
@@ -141,7 +141,9 @@ class SteeringServices:
                 raise ProblemError("the set-point names a variable twice")
             setpoint = values_of(request.setpoint)
             check_bounds(problem, setpoint)
-        except ProblemError as error:
+            stamp = seconds(self._parts.now())
+            run.journal.append({"type": "queued", "stamp": stamp, "setpoint": setpoint})
+        except (ProblemError, OSError) as error:
             response.message = str(error)
         else:
             steering.queue.append(setpoint)

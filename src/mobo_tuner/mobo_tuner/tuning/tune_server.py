@@ -16,7 +16,7 @@ from mobo_tuner.tuning.ends import Ends
 from mobo_tuner.tuning.parts import TunerParts
 from mobo_tuner.tuning.run import Run, RunError
 from mobo_tuner.tuning.run_loop import RunLoop
-from mobo_tuner.tuning.run_start import start_run
+from mobo_tuner.tuning.run_start import read_earlier, start_run
 
 CANCELED = "a client canceled it"
 
@@ -34,6 +34,7 @@ class TuneServer:
 
     def __init__(self, parts: TunerParts, problem: Callable[[], Problem]) -> None:
         self.run: Run | None = None
+        self._starting = False
         self._parts = parts
         self._problem = problem
         self._ends = Ends(parts)
@@ -58,7 +59,7 @@ class TuneServer:
         """One run, from its goal to its result, which carries the front whatever happens."""
         result = Tune.Result(error_code=Tune.Result.NONE)
         try:
-            run = self._start(goal_handle)
+            run = await self._start(goal_handle)
         except (ValueError, OSError) as error:
             self._parts.log.warning(f"goal refused: {error}")
             result.run_id = goal_handle.request.run_id
@@ -106,22 +107,33 @@ class TuneServer:
             goal_handle.abort()
         return result
 
-    def _start(self, goal_handle: ServerGoalHandle) -> Run:
+    async def _start(self, goal_handle: ServerGoalHandle) -> Run:
         """The run of a goal.
 
         Raises:
             ValueError, OSError: it cannot be served, with the reason.
         """
-        if self.run is not None:
-            raise ValueError(f"run '{self.run.run_id}' is going on; one run at a time is allowed")
-        return start_run(
-            goal_handle.request,
-            self._problem(),
-            self._parts.parameters,
-            goal_id=bytes(goal_handle.goal_id.uuid),
-            interrupt=Future(executor=self._parts.node.executor),
-            stamp=seconds(self._parts.now()),
-        )
+        goal: Tune.Goal = goal_handle.request
+        if self.run is not None or self._starting:
+            name = f"run '{self.run.run_id}' is" if self.run is not None else "another run is"
+            raise ValueError(f"{name} going on; one run at a time is allowed")
+        self._starting = True
+        try:
+            earlier = None
+            if goal.resume_from:
+                runs_dir = self._parts.parameters["runs_dir"]
+                earlier = await self._parts.worker.submit(read_earlier, runs_dir, goal.resume_from)
+            return start_run(
+                goal,
+                self._problem(),
+                self._parts.parameters,
+                goal_id=bytes(goal_handle.goal_id.uuid),
+                interrupt=Future(executor=self._parts.node.executor),
+                stamp=seconds(self._parts.now()),
+                earlier=earlier,
+            )
+        finally:
+            self._starting = False
 
     async def _leave_machine(self, run: Run, result: Tune.Result) -> None:
         """After a cancel, a stop or an error, leave the machine where `on_abort` says."""
@@ -137,20 +149,19 @@ class TuneServer:
         result.run_id = run.run_id
         result.evaluations = run.index
         result.pareto_front = run.front(self._parts.now())
-        if run.journal is not None:
-            end = {
-                "type": "end",
-                "stamp": seconds(self._parts.now()),
-                "stop_reason": result.stop_reason,
-                "error_code": result.error_code,
-                "error_msg": result.error_msg,
-            }
-            try:
-                run.journal.append(end)
-            except OSError as error:
-                self._parts.log.error(f"the end of the run is not in its journal: {error}")
-            run.journal.close()
-        self._parts.status.set(message=result.error_msg)
+        end = {
+            "type": "end",
+            "stamp": seconds(self._parts.now()),
+            "stop_reason": result.stop_reason,
+            "error_code": result.error_code,
+            "error_msg": result.error_msg,
+        }
+        try:
+            run.journal.append(end)
+        except OSError as error:
+            self._parts.log.error(f"the end of the run is not in its journal: {error}")
+        run.journal.close()
+        self._parts.status.set(message=result.error_msg, stop_reason=result.stop_reason)
         self._parts.log.info(
             f"run '{run.run_id}': {run.index} evaluations, hypervolume "
             f"{run.optimizer.hypervolume:.6g}, stopped by {result.stop_reason}"
