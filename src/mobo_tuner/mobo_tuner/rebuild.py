@@ -197,10 +197,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="mobo_tuner.rebuild", description="Run from a bag.")
     parser.add_argument("bag", type=Path, help="the bag's folder, or an .mcap file of it")
     parser.add_argument("run_folder", type=Path, help="where the journal is written")
-    parser.add_argument("--run", help="which run, where the bag holds several")
+    parser.add_argument("--of", help="which run, where the bag holds several")
     options = parser.parse_args(arguments)
     try:
-        records = records_of_bag(options.bag, options.run)
+        records = records_of_bag(options.bag, options.of)
         write_run(records, options.run_folder)
     except (BagError, OSError, ValueError) as error:
         print(error, file=sys.stderr)
