@@ -1,10 +1,14 @@
 #!/usr/bin/env python3
 """Multi-objective tuning of a running machine, from one command.
 
-    python3 mobo.py run       set up, start the nodes, tune, record, report, stop everything
-    python3 mobo.py test      set up and run the tests
-    python3 mobo.py list      the runs there are
-    python3 mobo.py show RUN  what came out of a run
+    python3 mobo.py run          set up, start the nodes, tune, record, report, stop everything
+    python3 mobo.py test         set up and run the tests
+    python3 mobo.py list         the runs there are
+    python3 mobo.py show RUN     what came out of a run
+    python3 mobo.py resume RUN   go on with a run that was cut short, or with more evaluations
+    python3 mobo.py report RUN   make its report anew
+    python3 mobo.py rebuild BAG  make a run anew from its bag alone
+    python3 mobo.py replay RUN   ask for every suggestion again, and compare
 
 It needs nothing but Python 3.11, 3.12 or 3.13 on Linux and a C and C++ compiler; the rest goes to
 `.venv` beside this file.
@@ -14,17 +18,14 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import math
 import os
-import re
+import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Callable
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
-from typing import NoReturn
 
 if not (3, 11) <= sys.version_info[:2] <= (3, 13) or sys.platform != "linux":
     sys.exit(
@@ -33,6 +34,7 @@ if not (3, 11) <= sys.version_info[:2] <= (3, 13) or sys.platform != "linux":
     )
 
 from tools import tuning
+from tools.command_line import UsageError, make_parser
 from tools.environment import (
     DEVELOPMENT_STAGES,
     STAGES,
@@ -41,23 +43,13 @@ from tools.environment import (
     clean_environment,
 )
 from tools.processes import Interrupted, Processes
-from tools.ros_domain import LAST as LAST_DOMAIN
 from tools.ros_domain import DomainError, RosDomain
-from tools.run_folder import (
-    RUN_ID,
-    RUN_ID_RULE,
-    RunFolder,
-    RunFolderError,
-    process_start,
-    table,
-)
+from tools.run_folder import JOURNAL_FILE, RunFolder, RunFolderError, process_start, table
 
 ROOT = Path(__file__).resolve().parent
 NODES = (tuning.MACHINE, tuning.TUNER, tuning.RECORDER, tuning.CONSOLE)
-MAX_EVALUATIONS = 100_000
-MAX_SEED = 2**31 - 1
-MIN_SPEED, MAX_SPEED = 1e-3, 1e6
-CHECK_TIMEOUT = 60.0  # [s] for the configuration
+CHECK_TIMEOUT = 60.0  # [s] for a configuration, or a report
+LONG = 3600.0  # [s] for what takes as long as a run's suggestions did
 TEST_TIMEOUT = 3600.0  # [s]
 # One thread each: the processes of a run share the cores.
 THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -73,10 +65,6 @@ RECORDED_VERSIONS = (
     "rosbags",
 )
 PARALLEL_TESTS = ("-n", "2", "--dist", "loadfile")
-
-
-class UsageError(Exception):
-    """The command line is wrong; the message is one sentence for the user."""
 
 
 class RunError(Exception):
@@ -108,34 +96,95 @@ def run(options: argparse.Namespace) -> None:
     with Processes() as processes:
         environment = Environment(ROOT, STAGES)
         environment.set_up(processes)
-        check_config(processes, environment.python, config)
-        with RosDomain(options.domain_id) as domain:
+        consult(processes, environment.python, "awa_sim_node.check_config", config)
+        with RosDomain(options.domain_id, network=options.network) as domain:
             folder = RunFolder.create(runs_dir, options.run_id, config.stem)
-            facts = {
-                "run_id": folder.run_id,
-                "state": "running",
-                "started": now(),
-                "pid": os.getpid(),
-                "pid_started": process_start(os.getpid()),
-                "domain_id": domain.id,
-                "arguments": {
-                    "config": str(config),
-                    "evaluations": options.evaluations,
-                    "seed": options.seed,
-                    "speed": options.speed,
-                },
-                "versions": versions(environment.folder),
-            }
-            ending = tuning.Ending("failed", "the run failed: mobo.py met an error of its own", 1)
-            try:
-                folder.record(facts)
-                ending = tune(processes, environment.python, config, folder, domain, options)
-            except Interrupted as interruption:
-                ending = tuning.interrupted(interruption)
-            finally:
-                facts |= {"state": ending.state, "reason": ending.reason, "ended": now()}
-                folder.record(facts)
-                print(folder.path, flush=True)
+            carry_out(processes, environment, config, folder, domain, options)
+
+
+def resume(options: argparse.Namespace) -> None:
+    """Go on with a run, in a new one beside it that begins with its evaluations.
+
+    Raises:
+        UsageError, SetupError, DomainError, RunFolderError, RunError, Interrupted, OSError
+    """
+    earlier = RunFolder.find(options.run, options.runs_dir)
+    facts = earlier.facts()
+    if facts.get("state") == "running":
+        raise UsageError(f"the run '{earlier.run_id}' is going on; stop it first")
+    if options.config is not None and not options.config.is_file():
+        raise UsageError(f"the configuration '{options.config}' is not a file")
+    arguments = facts.get("arguments") or {}
+    options.seed = arguments.get("seed")
+    if options.speed is None:
+        options.speed = arguments.get("speed")
+    with Processes() as processes, tempfile.TemporaryDirectory() as scratch:
+        environment = Environment(ROOT, STAGES)
+        environment.set_up(processes)
+        config = Path(scratch, "config.yaml")
+        given = ["--config", options.config.resolve()] if options.config else []
+        if options.evaluations:
+            given += ["--evaluations", options.evaluations]
+        module = "mobo_tuner.resume_config"
+        consult(processes, environment.python, module, earlier.path, config, *given)
+        consult(processes, environment.python, "awa_sim_node.check_config", config)
+        with RosDomain(options.domain_id, network=options.network) as domain:
+            folder = RunFolder.create_after(earlier, options.run_id)
+            carry_out(processes, environment, config, folder, domain, options, earlier.run_id)
+
+
+def carry_out(
+    processes: Processes,
+    environment: Environment,
+    config: Path,
+    folder: RunFolder,
+    domain: RosDomain,
+    options: argparse.Namespace,
+    resumed_from: str | None = None,
+) -> None:
+    """Carry out a run in its folder, whose last words are its path.
+
+    Raises:
+        RunError: it did not end well.
+        OSError: the folder cannot be written.
+    """
+    source = config if options.config is None else options.config.resolve()
+    facts = {
+        "run_id": folder.run_id,
+        "state": "running",
+        "started": now(),
+        "pid": os.getpid(),
+        "pid_started": process_start(os.getpid()),
+        "domain_id": domain.id,
+        "arguments": {
+            "config": str(source),
+            "evaluations": options.evaluations,
+            "seed": options.seed,
+            "speed": options.speed,
+        },
+        "versions": versions(environment.folder),
+    }
+    if resumed_from is not None:
+        facts["resumed_from"] = resumed_from
+    values = {
+        "seed": options.seed,
+        "speed": options.speed,
+        "runs_dir": folder.path.parent,
+        "bag_path": folder.path / "bag",
+        "run_id": folder.run_id,
+        "evaluations": options.evaluations,
+        "resume_from": resumed_from,
+    }
+    ending = tuning.Ending("failed", "the run failed: mobo.py met an error of its own", 1)
+    try:
+        folder.record(facts)
+        ending = tune(processes, environment.python, config, folder, domain, values)
+    except Interrupted as interruption:
+        ending = tuning.interrupted(interruption)
+    finally:
+        facts |= {"state": ending.state, "reason": ending.reason, "ended": now()}
+        folder.record(facts)
+        print(folder.path, flush=True)
     if ending.exit_status:
         raise RunError("\n".join((ending.reason, *ending.details)), ending.exit_status)
 
@@ -146,19 +195,11 @@ def tune(
     config: Path,
     folder: RunFolder,
     domain: RosDomain,
-    options: argparse.Namespace,
+    values: dict[str, object],
 ) -> tuning.Ending:
     """Run the nodes until the console is done, and make the report."""
     used = folder.path / "config.yaml"
     used.write_bytes(config.read_bytes())
-    values = {
-        "seed": options.seed,
-        "speed": options.speed,
-        "runs_dir": folder.path.parent,
-        "bag_path": folder.path / "bag",
-        "run_id": folder.run_id,
-        "evaluations": options.evaluations,
-    }
     launch = tuning.Launch(
         commands={node.name: node.command(python, used, values) for node in NODES},
         foreground=tuning.CONSOLE.name,
@@ -183,27 +224,33 @@ def tune(
     return ending
 
 
-def check_config(processes: Processes, python: Path, config: Path) -> None:
-    """Have the configuration checked against the machine.
+def consult(
+    processes: Processes,
+    python: Path,
+    module: str,
+    *arguments: object,
+    timeout: float = CHECK_TIMEOUT,
+) -> None:
+    """Run one of the project's programs, whose last line on standard error says what is wrong.
 
     Raises:
-        UsageError: it is wrong.
+        UsageError: it says that something is.
         Interrupted: a signal came.
     """
     with tempfile.TemporaryFile() as complaint:
         process = processes.start(
-            [str(python), "-P", "-m", "awa_sim_node.check_config", str(config)],
-            environment=clean_environment(**THREADS),
-            cwd=ROOT,
+            [str(python), "-P", "-m", module, *map(str, arguments)],
+            environment=clean_environment(**THREADS, MPLBACKEND="Agg"),
+            cwd=Path.cwd(),
             stderr=complaint,
         )
-        status = processes.wait(process, CHECK_TIMEOUT)
+        status = processes.wait(process, timeout)
         complaint.seek(0)
         words = complaint.read().decode(errors="replace").strip().splitlines()
     if status is None:
-        raise UsageError(f"the check of '{config}' was not done after {CHECK_TIMEOUT:.0f} s")
+        raise UsageError(f"{module} was not done after {timeout:.0f} s")
     if status != 0:
-        raise UsageError(words[-1] if words else f"the configuration '{config}' is wrong")
+        raise UsageError(words[-1] if words else f"{module} ended with status {status}")
 
 
 def test(arguments: list[str]) -> int:
@@ -260,13 +307,55 @@ def show(options: argparse.Namespace) -> None:
     print(RunFolder.find(options.run, options.runs_dir).description())
 
 
-def later(options: argparse.Namespace) -> NoReturn:
-    """Say that a verb is not there yet.
+def report(options: argparse.Namespace) -> None:
+    """Make the report of a run anew, from its journal.
 
     Raises:
-        UsageError: always.
+        UsageError, SetupError, RunFolderError, Interrupted, OSError
     """
-    raise UsageError(f"'{options.verb}' comes in a later version; nothing was done")
+    folder = RunFolder.find(options.run, options.runs_dir)
+    with Processes() as processes:
+        environment = Environment(ROOT, STAGES)
+        environment.set_up(processes)
+        consult(processes, environment.python, "mobo_tuner.report", folder.path)
+    print(folder.path)
+
+
+def rebuild(options: argparse.Namespace) -> None:
+    """Make a run anew from its bag alone.
+
+    Raises:
+        UsageError, SetupError, RunFolderError, Interrupted, OSError
+    """
+    bag: Path = options.bag.resolve()
+    with Processes() as processes, tempfile.TemporaryDirectory() as scratch:
+        environment = Environment(ROOT, STAGES)
+        environment.set_up(processes)
+        which = ["--of", options.of] if options.of else []
+        arguments = (bag, scratch, *which)
+        consult(processes, environment.python, "mobo_tuner.rebuild", *arguments, timeout=LONG)
+        folder = RunFolder.create(options.runs_dir, options.run_id, "rebuilt")
+        shutil.copy(Path(scratch, JOURNAL_FILE), folder.path)
+        folder.record(
+            {"run_id": folder.run_id, "state": "rebuilt", "started": now(), "bag": str(bag)}
+        )
+        consult(processes, environment.python, "mobo_tuner.report", folder.path)
+    print(folder.path)
+
+
+def replay(options: argparse.Namespace) -> None:
+    """Ask for every suggestion of a run again, and say whether they are the same.
+
+    Raises:
+        UsageError, SetupError, RunFolderError, Interrupted, OSError
+    """
+    path = Path(options.run)
+    if not (path.suffix == ".mcap" or any(path.glob("*.mcap"))):
+        path = RunFolder.find(options.run, options.runs_dir).path
+    with Processes() as processes:
+        environment = Environment(ROOT, STAGES)
+        environment.set_up(processes)
+        consult(processes, environment.python, "mobo_tuner.replay", path.resolve(), timeout=LONG)
 
 
 def now() -> str:
@@ -282,107 +371,15 @@ def versions(folder: Path) -> dict[str, str]:
     return {"python": (folder / "bin" / "python").resolve().name, **dict(sorted(wanted.items()))}
 
 
-# ---------------------------------------------------------------------------- the command line
-
-
-class _Parser(argparse.ArgumentParser):
-    """A parser whose complaints are one sentence."""
-
-    def error(self, message: str) -> NoReturn:
-        """Raise UsageError instead of printing the usage."""
-        raise UsageError(message)
-
-
-def _whole(low: int, high: int) -> Callable[[str], int]:
-    def convert(text: str) -> int:
-        if not re.fullmatch(r"-?[0-9]{1,18}", text) or not low <= int(text) <= high:
-            raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from {low} to {high}")
-        return int(text)
-
-    return convert
-
-
-def _speed(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not MIN_SPEED <= value <= MAX_SPEED:
-        raise argparse.ArgumentTypeError(
-            f"'{text}' is not a number from {MIN_SPEED:g} to {MAX_SPEED:g}"
-        )
-    return value
-
-
-def _run_id(text: str) -> str:
-    if not RUN_ID.fullmatch(text):
-        raise argparse.ArgumentTypeError(f"'{text}' is no run id; allowed are {RUN_ID_RULE}")
-    return text
-
-
-def make_parser() -> argparse.ArgumentParser:
-    """The parser of the command line, but for the verb `test`, whose arguments go to pytest."""
-    parser = _Parser(
-        prog="mobo.py",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
-    verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
-
-    def add(act: Callable[[argparse.Namespace], None], name: str, what: str) -> _Parser:
-        verb = verbs.add_parser(name, help=what, description=what, allow_abbrev=False)
-        folder = ROOT / "runs"
-        what = "where runs are kept (default: runs, beside mobo.py)"
-        verb.add_argument("--runs-dir", metavar="DIR", type=Path, default=folder, help=what)
-        verb.set_defaults(act=act)
-        return verb
-
-    tuning_run = add(run, "run", "tune the machine of a configuration, once")
-    option = tuning_run.add_argument
-    option(
-        "--config",
-        metavar="FILE",
-        type=Path,
-        default=ROOT / "config" / "awa.yaml",
-        help="ROS parameter file (default: config/awa.yaml, beside mobo.py)",
-    )
-    option(
-        "--evaluations",
-        metavar="N",
-        type=_whole(1, MAX_EVALUATIONS),
-        help="budget of the run (default: as configured, 60 for the shipped awa.yaml)",
-    )
-    option(
-        "--seed",
-        metavar="S",
-        type=_whole(0, MAX_SEED),
-        help="of every random choice, the simulated noise included (default: as configured)",
-    )
-    option("--run-id", metavar="ID", type=_run_id, help="name of the run (default: the time)")
-    option("--no-dashboard", action="store_true", help="accepted; there is no page yet")
-    option(
-        "--speed",
-        metavar="X",
-        type=_speed,
-        help="simulated seconds per second of the simulated machine (default: as configured)",
-    )
-    option(
-        "--domain-id",
-        metavar="N",
-        type=_whole(0, LAST_DOMAIN),
-        help="ROS domain (default: one that is free)",
-    )
-    verbs.add_parser("test", help="set up and run the tests; arguments go to pytest")
-    add(list_runs, "list", "list the runs")
-    for act, name, what in (
-        (show, "show", "show what came out of a run"),
-        (later, "resume", "go on with a run that was cut short (in a later version)"),
-        (later, "report", "make the report of a run anew (in a later version)"),
-    ):
-        help_text = "run id, or path of a run folder"
-        add(act, name, what).add_argument("run", metavar="RUN", help=help_text)
-    return parser
+VERBS = {
+    "run": run,
+    "list": list_runs,
+    "show": show,
+    "resume": resume,
+    "report": report,
+    "rebuild": rebuild,
+    "replay": replay,
+}
 
 
 def main(arguments: list[str]) -> int:
@@ -390,7 +387,7 @@ def main(arguments: list[str]) -> int:
     try:
         if arguments[:1] == ["test"]:
             return test(arguments[1:])
-        options = make_parser().parse_args(arguments)
+        options = make_parser(__doc__ or "", ROOT, VERBS).parse_args(arguments)
         options.act(options)
     except UsageError as error:
         return complain(error, 2)

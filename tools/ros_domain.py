@@ -30,15 +30,20 @@ class RosDomain:
         id: of the domain.
     """
 
-    def __init__(self, domain_id: int | None = None) -> None:
+    def __init__(self, domain_id: int | None = None, *, network: bool = False) -> None:
         """Take the domain asked for, or any that is free.
 
         A domain that was asked for may hold nodes of other programs: to meet them can be the reason
         to ask for it.
 
+        Args:
+            domain_id: which; None for any.
+            network: whether programs on other hosts may take part.
+
         Raises:
             DomainError: it is taken by another run, or all are.
         """
+        self._range = "SUBNET" if network else "LOCALHOST"
         if domain_id is not None:
             descriptor = _lock(domain_id)
             if descriptor is None:
@@ -75,7 +80,7 @@ class RosDomain:
         """The environment variables of everything that shall live in this domain."""
         return {
             "ROS_DOMAIN_ID": str(self.id),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": self._range,
             # Shared memory of a killed process stays behind and can stall those that come after.
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
         }

@@ -44,7 +44,27 @@ class RunFolder:
         Raises:
             RunFolderError: there is such a run already, or the folder cannot be made.
         """
-        names = [run_id] if run_id else _new_names(label)
+        return cls._make(runs_dir, [run_id] if run_id else _new_names(label))
+
+    @classmethod
+    def create_after(cls, earlier: RunFolder, run_id: str | None) -> RunFolder:
+        """Make the folder of a run that goes on with an earlier one, beside it.
+
+        Args:
+            earlier: what it goes on with.
+            run_id: name of the run; None for that of the earlier one with the next free number.
+
+        Raises:
+            RunFolderError: there is such a run already, or the folder cannot be made.
+        """
+        numbered = re.fullmatch(r"(.+)-[0-9]+", earlier.run_id)
+        stem = numbered[1] if numbered and "resumed_from" in earlier.facts() else earlier.run_id
+        names = [run_id] if run_id else [f"{stem[:95]}-{number}" for number in range(2, 1000)]
+        return cls._make(earlier.path.parent, names)
+
+    @classmethod
+    def _make(cls, runs_dir: Path, names: Sequence[str]) -> RunFolder:
+        """Make the first of the folders that is not there yet."""
         try:
             runs_dir.mkdir(parents=True, exist_ok=True)
             for name in names:
@@ -72,7 +92,7 @@ class RunFolder:
         """
         candidates = [Path(run)] if os.sep in run else [runs_dir / run, Path(run)]
         for path in candidates:
-            if (path / RUN_FILE).is_file() or (path / SUMMARY_FILE).is_file():
+            if any((path / name).is_file() for name in (RUN_FILE, SUMMARY_FILE, JOURNAL_FILE)):
                 return cls(path)
         raise RunFolderError(f"there is no run '{run}' in '{runs_dir}'")
 
@@ -150,7 +170,8 @@ class RunFolder:
         """
         facts, summary = self.facts(), self.summary()
         lines = [f"run {self.run_id}"]
-        shown = {name: facts.get(name) for name in ("state", "reason", "started", "ended")}
+        names = ("state", "reason", "resumed_from", "started", "ended")
+        shown = {name: facts.get(name) for name in names}
         arguments = facts.get("arguments")
         if isinstance(arguments, Mapping):
             shown |= {name: arguments.get(name) for name in ("config", "seed")}

@@ -56,7 +56,9 @@ class Program:
 MACHINE = Program("machine", "awa_sim_node.node", "awa_sim", ("seed", "speed"))
 TUNER = Program("tuner", "mobo_tuner.nodes.tuner", "tuner", ("seed", "runs_dir"))
 RECORDER = Program("recorder", "mobo_tuner.nodes.recorder", "recorder", ("bag_path",))
-CONSOLE = Program("console", "mobo_tuner.nodes.console", "console", ("run_id", "evaluations"))
+CONSOLE = Program(
+    "console", "mobo_tuner.nodes.console", "console", ("run_id", "evaluations", "resume_from")
+)
 
 
 @dataclass(frozen=True)

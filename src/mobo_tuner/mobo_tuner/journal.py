@@ -3,11 +3,16 @@
 A run folder holds `journal.jsonl`, from which alone its report is made. Records:
 
 - ``start``, always the first: `run_id`, `stamp`, `problem` (as `Problem.to_dict` gives it),
-  `settings`;
+  `settings`; where the run goes on with an earlier one also `resumed_from`, with the `run_id` of
+  that one and the number of `evaluations` that were taken over from it;
 - ``evaluation``, one per evaluation: `index`, `source` (``initial``, ``model`` or ``operator``),
-  `stamp`, `setpoint` and `readbacks` ({name: value}), `diagnostics` ({name: [mean, standard
-  deviation]}), `valid`, `feasible`, `error_code`, `error_msg`, `hypervolume`, `suggest_seconds`,
-  `machine_seconds`, `total_seconds`;
+  `attempts`, `stamp`, `setpoint` and `readbacks` ({name: value}), `diagnostics` ({name: [mean,
+  standard deviation]}), `valid`, `feasible`, `error_code`, `error_msg`, `hypervolume`,
+  `suggest_seconds`, `machine_seconds`, `total_seconds`;
+- ``change``, where the problem or the budget was changed: `stamp`, `index` of the next evaluation,
+  `problem`, `budget`;
+- ``queued``, a set-point that an operator gave: `stamp`, `setpoint`. It waits until an evaluation
+  with the source ``operator`` has it;
 - ``end``, the last of a run that was not killed: `stop_reason`, `error_code`, `error_msg`.
 
 Stamps are seconds since the epoch. The JSON is strict: a number that is not finite is written as
@@ -20,13 +25,15 @@ import contextlib
 import json
 import math
 import os
-from collections.abc import Mapping
+import threading
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 FILE_NAME = "journal.jsonl"
+MAX_BYTES = 1 << 30  # of a journal that is read: half a million evaluations
 
 Record = dict[str, Any]
 
@@ -46,21 +53,25 @@ class Journal:
         self.path = path
         self._descriptor = descriptor
         self._size = 0
+        self._lock = threading.Lock()  # one line at a time, whichever thread it comes from
 
     @classmethod
-    def create(cls, run_dir: str | Path, header: Mapping[str, Any]) -> Journal:
+    def create(
+        cls, run_dir: str | Path, header: Mapping[str, Any], earlier: Sequence[Record] = ()
+    ) -> Journal:
         """Start the journal of a run in its folder, which is made if it is missing.
 
         Args:
             run_dir: the run's folder.
             header: what the ``start`` record holds beside its type.
+            earlier: records with which the run begins, taken over from another one.
 
         Raises:
             FileExistsError: the folder holds a journal already.
             OSError: the folder or the file cannot be written.
             ValueError: the header cannot be written as JSON.
         """
-        line = _line({"type": "start", **header})
+        lines = b"".join(map(journal_line, [{"type": "start", **header}, *earlier]))
         folder = Path(run_dir)
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / FILE_NAME
@@ -71,7 +82,7 @@ class Journal:
             raise FileExistsError(f"the journal '{path}' exists already") from None
         journal = cls(path, descriptor)
         try:
-            journal._write(line)
+            journal._write(lines)
             _sync_folder(folder)
         except BaseException:
             journal.close()
@@ -87,7 +98,7 @@ class Journal:
         """
         if not isinstance(record.get("type"), str):
             raise ValueError(f"a journal record needs a type, which {dict(record)!r:.80} lacks")
-        self._write(_line(record))
+        self._write(journal_line(record))
 
     def close(self) -> None:
         """Close the file; may be called again."""
@@ -101,20 +112,21 @@ class Journal:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _write(self, line: bytes) -> None:
-        if self._descriptor < 0:
-            raise ValueError(f"the journal '{self.path}' is closed")
-        try:
-            rest = memoryview(line)
-            while rest:
-                rest = rest[os.write(self._descriptor, rest) :]
-            os.fsync(self._descriptor)
-        except OSError:
-            # Half a line would spoil the next one.
-            with contextlib.suppress(OSError):
-                os.ftruncate(self._descriptor, self._size)
-            raise
-        self._size += len(line)
+    def _write(self, lines: bytes) -> None:
+        with self._lock:
+            if self._descriptor < 0:
+                raise ValueError(f"the journal '{self.path}' is closed")
+            try:
+                rest = memoryview(lines)
+                while rest:
+                    rest = rest[os.write(self._descriptor, rest) :]
+                os.fsync(self._descriptor)
+            except OSError:
+                # Half a line would spoil the next one.
+                with contextlib.suppress(OSError):
+                    os.ftruncate(self._descriptor, self._size)
+                raise
+            self._size += len(lines)
 
 
 def read_journal(path: str | Path) -> list[Record]:
@@ -132,9 +144,20 @@ def read_journal(path: str | Path) -> list[Record]:
     if file.is_dir():
         file /= FILE_NAME
     try:
+        if file.stat().st_size > MAX_BYTES:
+            raise JournalError(f"the journal '{file}' is larger than the {MAX_BYTES} bytes allowed")
         content = file.read_bytes()
     except OSError as error:
         raise JournalError(f"the journal '{file}' cannot be read: {error.strerror}") from None
+    return parse_journal(content, f"the journal '{file}'")
+
+
+def parse_journal(content: bytes, name: str) -> list[Record]:
+    """The records in the lines of a journal; `name` says in complaints where they come from.
+
+    Raises:
+        JournalError: a line but the last is no record, or the first is no start.
+    """
     lines = content.split(b"\n")
     while lines and not lines[-1].strip():
         lines.pop()
@@ -144,9 +167,9 @@ def read_journal(path: str | Path) -> list[Record]:
         if record is not None:
             records.append(record)
         elif number < len(lines):
-            raise JournalError(f"line {number} of the journal '{file}' is not a record")
+            raise JournalError(f"line {number} of {name} is not a record")
     if not records or records[0]["type"] != "start":
-        raise JournalError(f"the journal '{file}' does not begin with a start record")
+        raise JournalError(f"{name} does not begin with a start record")
     return records
 
 
@@ -158,7 +181,12 @@ def _record(line: bytes) -> Record | None:
     return record if isinstance(record, dict) and isinstance(record.get("type"), str) else None
 
 
-def _line(record: Mapping[str, Any]) -> bytes:
+def journal_line(record: Mapping[str, Any]) -> bytes:
+    """A record as it stands in a journal, its line break included.
+
+    Raises:
+        ValueError: it cannot be written as JSON.
+    """
     text = json.dumps(_strict(record), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return text.encode() + b"\n"
 

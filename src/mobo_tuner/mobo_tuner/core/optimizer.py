@@ -152,6 +152,16 @@ class Optimizer:
         with single_blas_thread():
             return self.problem.denormalize(self._candidate())
 
+    def catch_up(self) -> None:
+        """Do what `ask` does but for the search: what is asked later is as if `ask` had been called.
+
+        So a run is lived through again without the time that its suggestions took.
+        """
+        if len(self.dataset) >= self.initial_evaluations:
+            self._models.update(self.dataset)
+            if self._models.ready:
+                self._acquisition_function()
+
     def focus(
         self,
         index: int | None = None,
@@ -242,23 +252,30 @@ class Optimizer:
 
     # ------------------------------------------------------------------ state
 
-    def get_state(self) -> dict[str, Any]:
-        """All that `from_state` needs to go on with the same suggestions, as plain data for JSON."""
-        return {
+    def get_state(self, *, with_evaluations: bool = True) -> dict[str, Any]:
+        """All that `from_state` needs to go on with the same suggestions, as plain data for JSON.
+
+        Args:
+            with_evaluations: whether they are part of it; who keeps them elsewhere puts them in
+                again as `evaluations`, and what is left does not grow with their number.
+        """
+        state: dict[str, Any] = {
             "version": STATE_VERSION,
             "problem": self.problem.to_dict(),
             "settings": self.settings.to_dict(),
             "seed": self.seed,
-            "evaluations": [
+            "hypervolume": self._hypervolume,
+            "models": self._models.get_state(),
+        }
+        if with_evaluations:
+            state["evaluations"] = [
                 {
                     "setpoint": dict(e.setpoint),
                     "outputs": {n: [v, e.stddevs[n]] for n, v in e.values.items()},
                 }
                 for e in self.dataset.evaluations
-            ],
-            "hypervolume": self._hypervolume,
-            "models": self._models.get_state(),
-        }
+            ]
+        return state
 
     @classmethod
     def from_state(

@@ -54,6 +54,7 @@ class Console:
         self._goal = Tune.Goal(
             run_id=check_run_id(run_id) if run_id else new_run_id("run"),
             evaluations=parameters["evaluations"],
+            resume_from=parameters["resume_from"],
         )
         self._ready_timeout = float(parameters["ready_timeout"])
         self._wait_for_recorder = bool(parameters["wait_for_recorder"])

@@ -228,6 +228,11 @@ CONSOLE = (
     ParameterSpec(
         "evaluations", 0, "budget of the run; 0 = as the tuner is set", minimum=0, maximum=100_000
     ),
+    ParameterSpec(
+        "resume_from",
+        "",
+        "id of an earlier run whose evaluations this one begins with; empty = none",
+    ),
     ParameterSpec("wait_for_recorder", True, "begin only when a recorder records the run"),
     ParameterSpec(
         "ready_timeout",
@@ -241,6 +246,7 @@ CONSOLE = (
 MACHINE_BRIDGE = (
     ParameterSpec("mapping", "", "the mapping file: which topic, service or action is what"),
 )
+
 
 def check_section(
     where: str, section: Mapping[str, Any], specs: Sequence[ParameterSpec]

@@ -13,7 +13,6 @@ from mobo_tuner.core import Problem
 from mobo_tuner.ros.conversions import (
     measurements_of,
     named_values,
-    problem_message,
     problem_units,
     seconds,
     unique_values,
@@ -123,7 +122,7 @@ class AskTell:
 
     def _publish_problem(self, run: Run) -> None:
         now = self._parts.now()
-        self._parts.publishers.problem(problem_message(run.problem, run.run_id, now))
+        self._parts.publishers.problem(run.problem_message(now))
         self._parts.publishers.front(run.front(now))
 
     def _suggestion(self, setpoint: dict[str, float]) -> Suggestion:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rclpy.duration import Duration
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
@@ -47,6 +48,11 @@ class TunerPublishers:
     def front(self, message: msg.ParetoFront) -> None:
         """Publish the Pareto front as it is now."""
         self._front.publish(message)
+
+    def acknowledged(self, timeout: Duration) -> bool:
+        """Whether every subscriber has all evaluations that were published, channels included."""
+        publishers = (self._evaluation, *self._plots.values())
+        return all(publisher.wait_for_all_acked(timeout) for publisher in publishers)
 
     def evaluation(self, message: msg.Evaluation) -> None:
         """Publish an evaluation, whole and as flat channels."""

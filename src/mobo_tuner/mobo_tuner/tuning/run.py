@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from builtin_interfaces.msg import Time
 from rclpy.task import Future
@@ -14,19 +15,18 @@ from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint
 from mobo_msgs_py.srv import DescribeMachine
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.core.dataset import Measured
-from mobo_tuner.journal import Journal
+from mobo_tuner.history import told_outputs
+from mobo_tuner.records import evaluation_record
 from mobo_tuner.ros.conversions import (
     evaluation_message,
     front_message,
     machine_facts,
-    measurements_of,
     named_values,
+    problem_message,
     problem_units,
-    seconds,
-    values_of,
 )
 from mobo_tuner.ros.machine_client import Answer
+from mobo_tuner.run_log import RunLog
 from mobo_tuner.tuning.steering import Change, Steering
 
 Source = Literal["initial", "model", "operator"]
@@ -71,7 +71,8 @@ class Run:
         optimizer: used in the worker thread, and read elsewhere while that is idle.
         goal_id: of the Tune goal.
         interrupt: done when the run shall stop; its result says why.
-        journal: where one is kept.
+        journal: where it is kept.
+        earlier: evaluations of an earlier run, with which this one begins.
         steering: what operators asked for.
         machine: what it says of itself; None before it was met.
         state_before: where the machine was before the run; None where nobody asked.
@@ -88,7 +89,8 @@ class Run:
     optimizer: Optimizer
     goal_id: bytes
     interrupt: Future
-    journal: Journal | None = None
+    journal: RunLog
+    earlier: Sequence[msg.Evaluation] = ()
     steering: Steering = field(default_factory=Steering)
     machine: DescribeMachine.Response | None = None
     state_before: dict[str, float] | None = None
@@ -154,6 +156,12 @@ class Run:
             self.problem, optimizer.pareto_front(), optimizer.hypervolume, self.run_id, stamp
         )
 
+    def problem_message(self, stamp: Time) -> msg.Problem:
+        """What is tuned, and all that the run can be rebuilt from beside its evaluations."""
+        message = problem_message(self.problem, self.run_id, stamp)
+        message.records = self.journal.outline
+        return message
+
     def suggest(self) -> Suggestion:
         """Ask the optimiser where to measure next."""
         started = time.perf_counter()
@@ -163,7 +171,8 @@ class Run:
     def learn(self, suggested: Suggestion, outcome: Outcome) -> msg.Evaluation:
         """Tell the optimiser and the journal what a suggestion led to, a failed evaluation too."""
         answer = outcome.answer
-        evaluation = self.optimizer.tell(suggested.setpoint, self._outputs(answer))
+        outputs = told_outputs(self.problem, answer.diagnostics, answer.error_code)
+        evaluation = self.optimizer.tell(suggested.setpoint, outputs)
         message = evaluation_message(self.problem, evaluation, self.run_id, answer.stamp)
         message.source = SOURCES[suggested.source]
         message.attempts = outcome.attempts
@@ -177,8 +186,8 @@ class Run:
         message.machine_seconds = answer.machine_seconds
         now = time.perf_counter()
         message.total_seconds, self.step_started = now - self.step_started, now
-        if self.journal is not None:
-            self.journal.append(_journal_record(message, suggested.source))
+        self.journal.append(evaluation_record(message))
+        self.journal.save(self.optimizer)
         if answer.error_code != EvaluateSetpoint.Result.CANCELED:  # an operator's wish is no fault
             self.consecutive_failures = 0 if message.valid else self.consecutive_failures + 1
         return message
@@ -193,25 +202,16 @@ class Run:
         if change.problem != self.problem:
             self.optimizer = self.optimizer.with_problem(change.problem)
         self.budget = change.budget
-        if self.journal is not None:
-            self.journal.append(
-                {
-                    "type": "change",
-                    "stamp": stamp,
-                    "index": self.index,
-                    "problem": change.problem.to_dict(),
-                    "budget": change.budget,
-                }
-            )
-
-    def _outputs(self, answer: Answer) -> dict[str, Measured | None]:
-        """What an answer teaches; one that failed must not pass for a valid evaluation."""
-        outputs: dict[str, Measured | None] = dict(answer.diagnostics)
-        needed = self.problem.required_diagnostics
-        measured = not missing_diagnostics(self.problem, answer)
-        if answer.error_code and measured:
-            return {name: value for name, value in outputs.items() if name not in needed}
-        return outputs
+        self.journal.append(
+            {
+                "type": "change",
+                "stamp": stamp,
+                "index": self.index,
+                "problem": change.problem.to_dict(),
+                "budget": change.budget,
+            }
+        )
+        self.journal.save(self.optimizer)
 
 
 def missing_diagnostics(problem: Problem, answer: Answer) -> list[str]:
@@ -221,26 +221,3 @@ def missing_diagnostics(problem: Problem, answer: Answer) -> list[str]:
         for name in problem.required_diagnostics
         if not math.isfinite(answer.diagnostics.get(name, (math.nan, math.nan))[0])
     ]
-
-
-def _journal_record(message: msg.Evaluation, source: str) -> dict[str, Any]:
-    return {
-        "type": "evaluation",
-        "index": message.index,
-        "source": source,
-        "attempts": message.attempts,
-        "stamp": seconds(message.stamp),
-        "setpoint": values_of(message.setpoint),
-        "readbacks": values_of(message.readbacks),
-        "diagnostics": {
-            name: list(pair) for name, pair in measurements_of(message.diagnostics).items()
-        },
-        "valid": message.valid,
-        "feasible": message.feasible,
-        "error_code": message.error_code,
-        "error_msg": message.error_msg,
-        "hypervolume": message.hypervolume,
-        "suggest_seconds": message.suggest_seconds,
-        "machine_seconds": message.machine_seconds,
-        "total_seconds": message.total_seconds,
-    }

@@ -50,7 +50,9 @@ class RunKeeper:
                     self._parts.log.info(f"run '{run.run_id}': {done}")
                     ending = ending._replace(error_msg=f"{ending.error_msg}; {done}")
             end_journal(self._parts, run, ending)
-            self._parts.status.set(publish=False, message=ending.error_msg)
+            self._parts.status.set(
+                publish=False, message=ending.error_msg, stop_reason=ending.stop_reason
+            )
         finally:
             self._parts.heartbeat.end()
             self._session.run = None
@@ -80,8 +82,6 @@ class RunKeeper:
 
 def end_journal(parts: TunerParts, run: Run, ending: Ending) -> None:
     """Write the end of a run into its journal and close it."""
-    if run.journal is None:
-        return
     try:
         run.journal.append(
             {"type": "end", "stamp": seconds(parts.now()), **ending._asdict()},

@@ -10,12 +10,13 @@ from rclpy.task import Future
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_tuner.core import ProblemError
-from mobo_tuner.ros.conversions import problem_message, seconds
+from mobo_tuner.ros.conversions import seconds
 from mobo_tuner.ros.machine_client import MachineLostError
 from mobo_tuner.ros.waiting import first_of
 from mobo_tuner.tuning.attempts import Attempts
 from mobo_tuner.tuning.ends import Ends
 from mobo_tuner.tuning.parts import TunerParts
+from mobo_tuner.tuning.repetition import repeat
 from mobo_tuner.tuning.run import Outcome, Run, RunError, Suggestion
 from mobo_tuner.tuning.steering import check_bounds
 
@@ -48,6 +49,7 @@ class RunLoop:
             RunError: it cannot go on.
         """
         self._announce(run)
+        await repeat(run.earlier, self._parts)
         await self._meet_machine(run)
         run.step_started = time.perf_counter()
         suggestion = self._parts.worker.submit(run.suggest)
@@ -72,12 +74,13 @@ class RunLoop:
         self._parts.status.set(
             state=msg.TunerStatus.WAITING, run_id=run.run_id, phase="", fraction=0.0, message=""
         )
+        self._parts.status.set(publish=False, stop_reason="")
         self._publish_all(run)
 
     def _publish_all(self, run: Run) -> None:
         """What is tuned and what there is of it, when a run begins or its problem changes."""
         parts = self._parts
-        parts.publishers.problem(problem_message(run.problem, run.run_id, parts.now()))
+        parts.publishers.problem(run.problem_message(parts.now()))
         parts.publishers.front(run.front(parts.now()))
         self._publish_figures(run)
 

@@ -1,18 +1,49 @@
-"""How a run begins: its goal checked, its optimiser made, its journal opened."""
+"""How a run begins: its goal checked, its optimiser made or restored, its journal opened."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rclpy.task import Future
 
 from mobo_msgs_py.action import Tune
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.journal import Journal
+from mobo_tuner.history import History
+from mobo_tuner.journal import Record, read_journal
+from mobo_tuner.replay import OPTIMIZER_SETTINGS, make_optimizer, restore
 from mobo_tuner.run_id import check_run_id, new_run_id
+from mobo_tuner.run_log import RunLog
+from mobo_tuner.saved_state import SavedState
+from mobo_tuner.tuning.repetition import earlier_evaluations
 from mobo_tuner.tuning.run import Run
+
+
+class Earlier(NamedTuple):
+    """A run that another one goes on with: what happened in it, and its optimiser at the end."""
+
+    history: History
+    optimizer: Optimizer
+
+
+def read_earlier(runs_dir: str, run_id: str) -> Earlier:
+    """Read an earlier run, which may take as long as its training took; it is left as it is.
+
+    Args:
+        runs_dir: the tuner's.
+        run_id: of the run, which must be in there.
+
+    Raises:
+        ValueError: there is no such run, or it cannot be gone on with.
+    """
+    if not runs_dir:
+        raise ValueError("resume_from needs the parameter runs_dir, which is empty")
+    folder = Path(runs_dir) / check_run_id(run_id)
+    if folder.resolve().parent != Path(runs_dir).resolve():
+        raise ValueError(f"the run '{run_id}' is a link out of '{runs_dir}'")
+    history = History.from_records(read_journal(folder))
+    return Earlier(history, restore(history, SavedState.read(folder)))
 
 
 def start_run(
@@ -23,6 +54,7 @@ def start_run(
     goal_id: bytes,
     interrupt: Future,
     stamp: float,
+    earlier: Earlier | None = None,
 ) -> Run:
     """Check a goal and prepare its run.
 
@@ -33,19 +65,69 @@ def start_run(
         goal_id: of the goal.
         interrupt: done when the run shall stop; its result says why.
         stamp: now [s since the epoch].
+        earlier: the run that this one goes on with.
 
     Raises:
         ValueError, OSError: the goal cannot be served, with the reason.
     """
+    run_id = check_run_id(goal.run_id) if goal.run_id else new_run_id("run")
+    wanted = goal.hypervolume_goal if goal.hypervolume_goal > 0.0 else 0.0
+    settings = {
+        **parameters,
+        "budget": goal.evaluations or parameters["evaluations"],
+        "hypervolume_goal": wanted,
+    }
+    header = {"run_id": run_id, "stamp": stamp, "problem": problem.to_dict(), "settings": settings}
+    run_dir = _run_dir(run_id, parameters)
+    if earlier is None:
+        return Run(
+            run_id=run_id,
+            budget=settings["budget"],
+            hypervolume_goal=wanted,
+            optimizer=make_optimizer(problem, parameters),
+            goal_id=goal_id,
+            interrupt=interrupt,
+            journal=RunLog(run_dir, header),
+        )
+    history, optimizer = earlier
+    told = len(history.evaluations)
+    budget = goal.evaluations or history.budget
+    if budget <= told:
+        raise ValueError(
+            f"evaluations is {budget}, and the run '{history.run_id}' has {told} already; a budget "
+            "of more is allowed"
+        )
+    # It begins as the earlier one did, so that it can be lived through from its own journal alone.
+    settings |= {name: history.settings[name] for name in OPTIMIZER_SETTINGS}
+    settings["budget"] = history.settings.get("budget", budget)
+    settings["hypervolume_goal"] = wanted or history.settings.get("hypervolume_goal", 0.0)
+    header["problem"] = history.problem.to_dict()
+    header["resumed_from"] = {"run_id": history.run_id, "evaluations": told}
+    records: list[Record] = list(history.records)
+    if problem != history.last_problem:
+        optimizer = optimizer.with_problem(problem)
+    if problem != history.last_problem or budget != history.budget:
+        records.append(
+            {
+                "type": "change",
+                "stamp": stamp,
+                "index": told,
+                "problem": problem.to_dict(),
+                "budget": budget,
+            }
+        )
     run = Run(
-        run_id=check_run_id(goal.run_id) if goal.run_id else new_run_id("run"),
-        budget=goal.evaluations or parameters["evaluations"],
-        hypervolume_goal=goal.hypervolume_goal if goal.hypervolume_goal > 0.0 else 0.0,
-        optimizer=make_optimizer(problem, parameters),
+        run_id=run_id,
+        budget=budget,
+        hypervolume_goal=float(settings["hypervolume_goal"]),
+        optimizer=optimizer,
         goal_id=goal_id,
         interrupt=interrupt,
+        journal=RunLog(run_dir, header, records),
+        earlier=earlier_evaluations(history, run_id),
     )
-    run.journal = open_journal(run, parameters, stamp)
+    run.steering.queue.extend(dict(setpoint) for setpoint in history.waiting)
+    run.journal.save(optimizer)
     return run
 
 
@@ -73,42 +155,28 @@ def start_holding(
     Raises:
         OSError: its journal cannot be written.
     """
+    run_id = new_run_id("hold")
+    budget = len(focused.dataset) + evaluations
+    header = {
+        "run_id": run_id,
+        "stamp": stamp,
+        "problem": focused.problem.to_dict(),
+        "settings": {**parameters, "budget": budget, "holds": run.run_id},
+    }
     held = Run(
-        run_id=new_run_id("hold"),
-        budget=len(focused.dataset) + evaluations,
+        run_id=run_id,
+        budget=budget,
         hypervolume_goal=0.0,
         optimizer=focused,
         goal_id=b"",
         interrupt=interrupt,
         changeable=False,
+        journal=RunLog(_run_dir(run_id, parameters), header),
     )
     held.steering.queue.append(dict(point))
-    held.journal = open_journal(held, {**parameters, "holds": run.run_id}, stamp)
     return held
 
 
-def make_optimizer(problem: Problem, parameters: Mapping[str, Any]) -> Optimizer:
-    """The optimiser of a run that knows nothing yet."""
-    choices: dict[str, Any] = {}
-    if parameters["initial_evaluations"]:
-        choices["initial_evaluations"] = parameters["initial_evaluations"]
-    if parameters["proximal"]:
-        choices["proximal"] = "costs"
-    return Optimizer(problem, preset=parameters["preset"], seed=parameters["seed"], **choices)
-
-
-def open_journal(run: Run, parameters: Mapping[str, Any], stamp: float) -> Journal | None:
-    """The journal of a run that begins; None where none is kept.
-
-    Raises:
-        OSError: it cannot be written, or there is one of this name already.
-    """
-    if not parameters["runs_dir"]:
-        return None
-    start = {
-        "run_id": run.run_id,
-        "stamp": stamp,
-        "problem": run.optimizer.problem.to_dict(),
-        "settings": {**parameters, "budget": run.budget},
-    }
-    return Journal.create(Path(parameters["runs_dir"]) / run.run_id, start)
+def _run_dir(run_id: str, parameters: Mapping[str, Any]) -> Path | None:
+    """Where a run is kept; None where none is."""
+    return Path(parameters["runs_dir"]) / run_id if parameters["runs_dir"] else None

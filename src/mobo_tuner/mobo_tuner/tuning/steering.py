@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from mobo_msgs_py.srv import QueueSetpoint
 from mobo_tuner.core import Problem, ProblemError
-from mobo_tuner.ros.conversions import unique_values
+from mobo_tuner.ros.conversions import seconds, unique_values
 
 if TYPE_CHECKING:
     from mobo_tuner.tuning.parts import TunerParts
@@ -139,7 +139,9 @@ class SteeringServices:
                 raise ProblemError(f"{MAX_QUEUED} set-points wait already; no more are allowed")
             setpoint = unique_values("the set-point", request.setpoint)
             check_bounds(problem, setpoint)
-        except ProblemError as error:
+            stamp = seconds(self._parts.now())
+            run.journal.append({"type": "queued", "stamp": stamp, "setpoint": setpoint})
+        except (ProblemError, OSError) as error:
             response.message = str(error)
         else:
             steering.queue.append(setpoint)

@@ -15,7 +15,7 @@ from mobo_tuner.ros.conversions import seconds
 from mobo_tuner.tuning.parts import TunerParts
 from mobo_tuner.tuning.run import Run
 from mobo_tuner.tuning.run_keeper import RunKeeper
-from mobo_tuner.tuning.run_start import start_run
+from mobo_tuner.tuning.run_start import read_earlier, start_run
 from mobo_tuner.tuning.session import Session
 
 CANCELED = "a client canceled it"
@@ -62,7 +62,7 @@ class TuneServer:
     async def _execute(self, goal_handle: ServerGoalHandle) -> Tune.Result:
         """One run, from its goal to its result, which carries the front whatever happens."""
         try:
-            run = self._start(goal_handle)
+            run = await self._start(goal_handle)
         except (ValueError, OSError) as error:
             self._parts.log.warning(f"goal refused: {error}")
             goal_handle.abort()
@@ -95,19 +95,29 @@ class TuneServer:
             **ending._asdict(),
         )
 
-    def _start(self, goal_handle: ServerGoalHandle) -> Run:
+    async def _start(self, goal_handle: ServerGoalHandle) -> Run:
         """The run of a goal.
 
         Raises:
             ValueError, OSError: it cannot be served, with the reason.
         """
+        goal: Tune.Goal = goal_handle.request
         if self._session.occupied:
             raise ValueError(self._session.occupied)
-        return start_run(
-            goal_handle.request,
-            self._problem(),
-            self._parts.parameters,
-            goal_id=bytes(goal_handle.goal_id.uuid),
-            interrupt=Future(executor=self._parts.node.executor),
-            stamp=seconds(self._parts.now()),
-        )
+        self._session.starting = True
+        try:
+            earlier = None
+            if goal.resume_from:
+                runs_dir = self._parts.parameters["runs_dir"]
+                earlier = await self._parts.worker.submit(read_earlier, runs_dir, goal.resume_from)
+            return start_run(
+                goal,
+                self._problem(),
+                self._parts.parameters,
+                goal_id=bytes(goal_handle.goal_id.uuid),
+                interrupt=Future(executor=self._parts.node.executor),
+                stamp=seconds(self._parts.now()),
+                earlier=earlier,
+            )
+        finally:
+            self._session.starting = False

@@ -1,0 +1,149 @@
+"""A run lived through again: the optimiser as it was, and whether it asks what was asked then.
+
+`python -m mobo_tuner.replay RUN` asks for every suggestion of a run anew, from its folder or its
+bag alone, and says whether they are the same to the last bit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mobo_tuner.core import Optimizer, Problem, ProblemError
+from mobo_tuner.history import Changed, History, Told
+from mobo_tuner.journal import JournalError, Record, read_journal
+from mobo_tuner.rebuild import BagError, records_of_bag
+from mobo_tuner.saved_state import SavedState
+
+OPTIMIZER_SETTINGS = ("preset", "seed", "initial_evaluations", "proximal")  # of a tuner
+
+
+def make_optimizer(problem: Problem, settings: Mapping[str, Any]) -> Optimizer:
+    """The optimiser of a run that knows nothing yet.
+
+    Args:
+        problem: what is tuned.
+        settings: of the tuner; those that concern the optimiser are looked at.
+
+    Raises:
+        ProblemError: they are not allowed.
+    """
+    try:
+        choices: dict[str, Any] = {}
+        if settings["initial_evaluations"]:
+            choices["initial_evaluations"] = settings["initial_evaluations"]
+        if settings["proximal"]:
+            choices["proximal"] = "costs"
+        return Optimizer(problem, preset=settings["preset"], seed=settings["seed"], **choices)
+    except KeyError as error:
+        raise ProblemError(f"the settings lack {error}") from None
+    except TypeError as error:
+        raise ProblemError(f"the settings are not as they should be: {error}") from None
+
+
+def restore(history: History, saved: SavedState | None = None) -> Optimizer:
+    """The optimiser of a run as it was after its last step: it asks what it would have asked then.
+
+    Args:
+        history: of the run.
+        saved: its state at some step, from where on the history is lived through; without it, or
+            where it does not suit the history, that is from the start.
+
+    Raises:
+        ProblemError: the history cannot have happened.
+    """
+    optimizer, position = (saved.revive(history) if saved else None) or (None, 0)
+    if optimizer is None:
+        optimizer = make_optimizer(history.problem, history.settings)
+    for step in history.steps[position:]:
+        if isinstance(step, Told):
+            optimizer.catch_up()
+        optimizer = take_step(optimizer, step)
+    return optimizer
+
+
+def take_step(optimizer: Optimizer, step: Told | Changed) -> Optimizer:
+    """The optimiser after one more step of a history."""
+    if isinstance(step, Told):
+        optimizer.tell(step.setpoint, step.outputs)
+    elif step.problem != optimizer.problem:
+        return optimizer.with_problem(step.problem)
+    return optimizer
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What was asked in a run, and what is asked when it is lived through again.
+
+    Attributes:
+        index: of the evaluation.
+        source: where its set-point came from.
+        then, now: the set-points; an operator's is not compared.
+    """
+
+    index: int
+    source: str
+    then: Mapping[str, float]
+    now: Mapping[str, float]
+
+    @property
+    def differs(self) -> bool:
+        """Whether another set-point is asked for."""
+        return self.source != "operator" and dict(self.then) != dict(self.now)
+
+
+def compare(history: History) -> list[Comparison]:
+    """Live through a run and ask for each of its suggestions.
+
+    Raises:
+        ProblemError: the history cannot have happened.
+    """
+    optimizer = make_optimizer(history.problem, history.settings)
+    comparisons = []
+    for step in history.steps:
+        if isinstance(step, Told):
+            asked = optimizer.ask()
+            comparisons.append(Comparison(step.index, step.source, step.setpoint, asked))
+        optimizer = take_step(optimizer, step)
+    return comparisons
+
+
+def records_of(path: Path) -> list[Record]:
+    """The records of a run folder or journal, or those that a bag tells.
+
+    Raises:
+        JournalError, BagError: it is neither, or cannot be read.
+    """
+    if path.suffix == ".mcap" or (path.is_dir() and any(path.glob("*.mcap"))):
+        return records_of_bag(path)
+    return read_journal(path)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Compare one run; return 0 where every suggestion is the same, else 1."""
+    parser = argparse.ArgumentParser(prog="mobo_tuner.replay", description="Replay of a run.")
+    parser.add_argument("run", type=Path, help="run folder, journal, bag folder or .mcap file")
+    path = parser.parse_args(arguments).run
+    try:
+        comparisons = compare(History.from_records(records_of(path)))
+    except (JournalError, BagError, ProblemError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    compared = [c for c in comparisons if c.source != "operator"]
+    different = [c for c in compared if c.differs]
+    print(
+        f"{len(comparisons)} evaluations, {len(compared)} suggestions asked for again, "
+        f"{len(compared) - len(different)} the same to the last bit"
+    )
+    for comparison in different[:5]:
+        print(f"  {comparison.index}: then {dict(comparison.then)}")
+        print(f"  {comparison.index}: now  {dict(comparison.now)}")
+    return 1 if different else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,109 @@
+"""The configuration of a run that goes on with an earlier one.
+
+`python -m mobo_tuner.resume_config RUN_FOLDER OUT [--config FILE] [--evaluations N]` writes it and
+prints one sentence and exits with 2 where the run cannot be gone on with so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from mobo_tuner.core.parameter_file import load_yaml
+from mobo_tuner.core.problem import SECTIONS, Problem, ProblemError
+from mobo_tuner.history import History
+from mobo_tuner.journal import JournalError, read_journal
+from mobo_tuner.replay import OPTIMIZER_SETTINGS
+
+CONFIG_FILE = "config.yaml"
+
+
+def resume_config(run_dir: Path, config: Path | None, evaluations: int | None) -> bytes:
+    """The content of the configuration.
+
+    Args:
+        run_dir: the folder of the earlier run.
+        config: with other bounds, objectives or constraints; where None, the earlier run's own,
+            with the problem as it was in the end.
+        evaluations: the budget; None for that of the earlier run.
+
+    Raises:
+        JournalError: the earlier run cannot be read.
+        ProblemError: it cannot be gone on with like this.
+    """
+    history = History.from_records(read_journal(run_dir))
+    told = len(history.evaluations)
+    if (evaluations or history.budget) <= told:
+        has = f"the run '{history.run_id}' has {told} evaluations already"
+        raise ProblemError(
+            f"evaluations is {evaluations}, and {has}; more are allowed"
+            if evaluations
+            else f"{has}, as many as it was allowed; --evaluations allows more"
+        )
+    if config is not None:
+        content = load_yaml(config)
+        _check(content, history)
+        return config.read_bytes()
+    path = run_dir / CONFIG_FILE
+    if not path.is_file():
+        raise ProblemError(f"'{run_dir}' holds no {CONFIG_FILE}; give one by --config")
+    content = load_yaml(path)
+    if Problem.from_dict(content) == history.last_problem:
+        return path.read_bytes()
+    parameters = content["/**"]["ros__parameters"] if "/**" in content else content
+    for section in SECTIONS:
+        parameters.pop(section, None)
+    sections = history.last_problem.to_dict()
+    parameters.update({name: entries for name, entries in sections.items() if entries})
+    note = f"# As run {history.run_id} was in the end.\n"
+    return (note + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)).encode()
+
+
+def _check(content: Mapping[str, Any], history: History) -> None:
+    """Refuse what cannot be changed."""
+    problem = Problem.from_dict(content)
+    names, allowed = problem.variable_names, history.problem.variable_names
+    if set(names) != set(allowed):
+        raise ProblemError(
+            f"the variables are {', '.join(names)}; a run that goes on with '{history.run_id}' "
+            f"must have {', '.join(allowed)}"
+        )
+    section = content.get("tuner")
+    given = section.get("ros__parameters") if isinstance(section, dict) else None
+    for name in OPTIMIZER_SETTINGS:
+        recorded = history.settings.get(name)
+        if isinstance(given, dict) and name != "seed" and given.get(name, recorded) != recorded:
+            raise ProblemError(
+                f"tuner.{name} is {given[name]!r}; a run that goes on with '{history.run_id}' keeps "
+                f"its {json.dumps(recorded)}"
+            )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write one configuration; return the exit status."""
+    parser = argparse.ArgumentParser(prog="mobo_tuner.resume_config", description=__doc__)
+    parser.add_argument("run_folder", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--config", type=Path)
+    parser.add_argument("--evaluations", type=int)
+    options = parser.parse_args(arguments)
+    try:
+        content = resume_config(options.run_folder, options.config, options.evaluations)
+        options.out.write_bytes(content)
+    except (JournalError, ProblemError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    except (OSError, ValueError) as error:
+        print(f"the configuration cannot be made: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

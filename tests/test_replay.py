@@ -1,0 +1,196 @@
+"""Going on with a run: what is asked is what an uninterrupted run would have asked, to the last bit."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from bench.lived_run import LivedRun, toy, toy_optimizer
+from mobo_tuner import replay
+from mobo_tuner.core import ProblemError
+from mobo_tuner.history import History
+from mobo_tuner.journal import FILE_NAME, JournalError, read_journal
+from mobo_tuner.saved_state import FILE_NAME as STATE_NAME
+from mobo_tuner.saved_state import SavedState
+
+LENGTH = 14
+SEED = 7  # with failures, an operator's set-points and two changes
+
+
+@pytest.fixture(scope="module")
+def asked_and_kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[dict[str, float]], Path]:
+    """What an uninterrupted run asks at each evaluation, and its folder after each of them."""
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    run = LivedRun(folder, toy_optimizer(SEED), toy, SEED)
+    asked = []
+    for index in range(LENGTH):
+        asked.append(run.ask())
+        shutil.copytree(folder, folder.parent / f"after-{index}")
+        run.step()
+    asked.append(run.ask())
+    run.log.close()
+    shutil.copytree(folder, folder.parent / f"after-{LENGTH}")
+    return asked, folder.parent
+
+
+def history_of(folder: Path) -> History:
+    return History.from_records(read_journal(folder))
+
+
+def test_the_run_has_everything_that_can_happen(
+    asked_and_kept: tuple[list[dict[str, float]], Path],
+) -> None:
+    records = read_journal(asked_and_kept[1] / "run")
+    kinds = {record["type"] for record in records}
+    assert kinds == {"start", "evaluation", "change", "queued"}
+    assert {r["source"] for r in records if r["type"] == "evaluation"} == {
+        "initial",
+        "model",
+        "operator",
+    }
+    assert any(not r["valid"] for r in records if r["type"] == "evaluation")
+
+
+@pytest.mark.parametrize("told", range(LENGTH + 1))
+def test_a_restored_run_asks_what_it_would_have_asked(
+    asked_and_kept: tuple[list[dict[str, float]], Path], told: int
+) -> None:
+    asked, folder = asked_and_kept
+    kept = folder / f"after-{told}"
+    history = history_of(kept)
+    saved = SavedState.read(kept)
+    assert (saved is None) == (told == 0)
+    assert replay.restore(history, None).ask() == asked[told]
+    if saved is not None:
+        assert saved.revive(history) is not None
+        assert replay.restore(history, saved).ask() == asked[told]
+
+
+@pytest.mark.parametrize("late", [1, 3, 8])
+def test_a_state_that_is_late_is_brought_up_to_date(
+    asked_and_kept: tuple[list[dict[str, float]], Path], late: int
+) -> None:
+    asked, folder = asked_and_kept
+    saved = SavedState.read(folder / f"after-{LENGTH - late}")
+    assert saved is not None
+    restored = replay.restore(history_of(folder / "run"), saved)
+    assert restored.ask() == asked[LENGTH]
+    whole = replay.restore(history_of(folder / "run"), SavedState.read(folder / "run"))
+    assert restored.hypervolume == whole.hypervolume
+
+
+def damaged(text: bytes) -> bytes:
+    return text.replace(b'"hypervolume": ', b'"hypervolume": 1', 1)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [lambda _: b"", lambda text: text[:100], damaged, lambda _: b"[]\n\n", lambda _: b"\xff" * 99],
+    ids=["empty", "cut", "altered", "no state", "no text"],
+)
+def test_a_damaged_state_is_not_believed(
+    asked_and_kept: tuple[list[dict[str, float]], Path],
+    tmp_path: Path,
+    spoil: Callable[[bytes], bytes],
+) -> None:
+    _, folder = asked_and_kept
+    whole = (folder / "run" / STATE_NAME).read_bytes()
+    (tmp_path / STATE_NAME).write_bytes(spoil(whole))
+    assert SavedState.read(tmp_path) is None
+
+
+def test_a_state_of_another_run_is_not_believed(
+    asked_and_kept: tuple[list[dict[str, float]], Path],
+) -> None:
+    asked, folder = asked_and_kept
+    saved = SavedState.read(folder / f"after-{LENGTH}")
+    assert saved is not None
+    stranger = SavedState("other", saved.evaluations, saved.changes, saved.state)
+    early = SavedState(saved.run_id, LENGTH + 5, saved.changes, saved.state)
+    broken = SavedState(saved.run_id, saved.evaluations, saved.changes, {"version": 1})
+    history = history_of(folder / "run")
+    for state in (stranger, early, broken):
+        assert state.revive(history) is None
+    assert replay.restore(history, stranger).ask() == asked[LENGTH]
+
+
+def test_replay_says_whether_the_suggestions_are_the_same(
+    asked_and_kept: tuple[list[dict[str, float]], Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    _, folder = asked_and_kept
+    assert replay.main([str(folder / "run")]) == 0
+    said = capsys.readouterr().out
+    operators = sum(e.source == "operator" for e in history_of(folder / "run").evaluations)
+    count = LENGTH - operators
+    assert f"{count} suggestions asked for again, {count} the same" in said
+
+    lines = (folder / "run" / FILE_NAME).read_text().splitlines()
+    number, record = next(
+        (n, json.loads(line)) for n, line in enumerate(lines) if '"source":"model"' in line
+    )
+    record["setpoint"]["x1"] += 1e-12
+    lines[number] = json.dumps(record)
+    (tmp_path / FILE_NAME).write_text("\n".join(lines) + "\n")
+    assert replay.main([str(tmp_path)]) == 1
+    assert f"{record['index']}: then" in capsys.readouterr().out
+
+
+def test_set_points_that_wait_survive(tmp_path: Path) -> None:
+    run = LivedRun(tmp_path / "run", toy_optimizer(0), toy, 0, events=False)
+    points = [{"x1": 0.1 * i, "x2": -0.1 * i} for i in range(4)]
+    for point in points[:3]:
+        run.log.append({"type": "queued", "stamp": 0.0, "setpoint": point})
+    run.step()
+    evaluation = read_journal(tmp_path / "run")[-1]
+    # The second is evaluated: the first was dropped, the third waits.
+    run.log.append({**evaluation, "index": 1, "source": "operator", "setpoint": points[1]})
+    run.log.append({"type": "queued", "stamp": 0.0, "setpoint": points[3]})
+    run.log.close()
+    assert list(history_of(tmp_path / "run").waiting) == points[2:]
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"index": 3}, "its index is 3 instead of 0"),
+        ({"index": True}, "whole number"),
+        ({"source": "guess"}, "its source is 'guess'"),
+        ({"setpoint": {"x1": 0.0}}, "lacks the variable 'x2'"),
+        ({"setpoint": {"x1": 1e999, "x2": 0.0}}, "finite number"),
+        ({"diagnostics": {"f1": 3.0}}, "a mean and a standard deviation"),
+        ({"diagnostics": []}, "names and values"),
+        ({"valid": 1}, "valid is 1"),
+        ({"error_code": None}, "whole number"),
+    ],
+)
+def test_a_journal_that_cannot_be_right_is_refused_in_one_sentence(
+    tmp_path: Path, change: dict[str, object], sentence: str
+) -> None:
+    run = LivedRun(tmp_path / "run", toy_optimizer(0), toy, 0, events=False)
+    run.step()
+    run.log.close()
+    start, evaluation = read_journal(tmp_path / "run")
+    with pytest.raises(JournalError, match="record 2, 'evaluation'") as caught:
+        History.from_records([start, {**evaluation, **change}])
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_settings_that_cannot_be_right_are_refused(tmp_path: Path) -> None:
+    run = LivedRun(tmp_path / "run", toy_optimizer(0), toy, 0, events=False)
+    run.log.close()
+    history = history_of(tmp_path / "run")
+    for settings, sentence in (
+        ({}, "lack 'initial"),
+        ({"seed": []}, "lack"),
+    ):
+        with pytest.raises(ProblemError, match=sentence):
+            replay.make_optimizer(history.problem, settings)
+    with pytest.raises(ProblemError, match="preset is 'none'"):
+        replay.make_optimizer(history.problem, {**history.settings, "preset": "none"})
