@@ -68,6 +68,7 @@ class LivedRun:
             "seed": optimizer.seed,
             "initial_evaluations": optimizer.settings.initial_evaluations,
             "budget": 1000,
+            "proximal": False,
         }
         header = {"run_id": run_dir.name, "stamp": 0.0, "settings": settings}
         self.log = log or RunLog(run_dir, {**header, "problem": optimizer.problem.to_dict()})

@@ -26,6 +26,7 @@ setup(
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
         NAME: ["py.typed"],
+        f"{NAME}.simulation": ["*.json"],
         f"{NAME}.surrogate": ["*.json", "*.npz", "*.csv", "DATA_CARD.md"],
     },
     data_files=data_files,

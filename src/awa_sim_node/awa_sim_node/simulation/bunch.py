@@ -80,7 +80,8 @@ class Bunch:
     @property
     def flying(self) -> FloatArray:
         """Phase space of the particles on their way."""
-        return self.phase_space[self.state == FLYING]
+        flying: FloatArray = self.phase_space[self.state == FLYING]
+        return flying
 
 
 def emit(laser: Laser, charge: float, particles: int, seed: int) -> Bunch:

@@ -14,7 +14,7 @@ HALF_LENGTH: Final = 0.1
 """Where the kick ends on either side of the centre [m]; its profile is a squared cosine."""
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def gradient(z: float, strength: float) -> float:
     """Return the gradient dB_y/dx [T/m] at z [m] of a kick integrated to ``strength`` [T].
 

@@ -44,7 +44,7 @@ class FieldMap(NamedTuple):
     @property
     def end(self) -> float:
         """Position of the last column [m from the cathode]."""
-        return self.start + self.dz * (self.values.shape[1] - 1)
+        return float(self.start + self.dz * (self.values.shape[1] - 1))
 
     def scaled(self, factor: float) -> FieldMap:
         """Return the map times a factor."""

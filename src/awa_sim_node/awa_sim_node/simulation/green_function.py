@@ -21,7 +21,7 @@ NEAR_CELLS = 6.0
 """Cells nearer than so many times their longest side are integrated exactly, others expanded."""
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _primitive(x: float, y: float, z: float) -> float:
     """Return the threefold primitive of 1/r."""
     r = math.sqrt(x * x + y * y + z * z)
@@ -35,7 +35,7 @@ def _primitive(x: float, y: float, z: float) -> float:
     )
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _exact(x: float, y: float, z: float, a: float, b: float, c: float) -> float:
     """Return the mean of 1/r over a cell with the sides a, b, c around (x, y, z)."""
     total = 0.0
@@ -47,7 +47,7 @@ def _exact(x: float, y: float, z: float, a: float, b: float, c: float) -> float:
     return total / (a * b * c)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _expanded(x: float, y: float, z: float, a: float, b: float, c: float) -> float:
     """Return the same far away: monopole and quadrupole of the cell."""
     s = 1.0 / (x * x + y * y + z * z)
@@ -56,7 +56,7 @@ def _expanded(x: float, y: float, z: float, a: float, b: float, c: float) -> flo
     return math.sqrt(s) * (1.0 + second * s / 24.0)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def green_octant(
     nx: int, ny: int, start: int, stop: int, a: float, b: float, c: float
 ) -> FloatArray:

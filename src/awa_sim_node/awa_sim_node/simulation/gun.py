@@ -24,6 +24,6 @@ def gun_map() -> FieldMap:
     data = coefficients()
     length = float(data["gun_length"])
     series = data["gun"]
-    k = np.pi * np.arange(len(series)) / length
+    k = np.pi * np.arange(len(series), dtype=np.float64) / length
     grid = empty_map(_RADIUS, 11, 0.0, length, 301)
     return rf_map(k, series, np.zeros_like(series), ANGULAR_FREQUENCY, grid)

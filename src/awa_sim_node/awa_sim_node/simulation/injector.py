@@ -43,12 +43,12 @@ class Settings:
         coupler_kick: Integrated quadrupole gradient of the linac's coupler [mT].
     """
 
-    K1: float  # noqa: N815
-    K2: float  # noqa: N815
+    K1: float
+    K2: float
     phi1: float
     phi2: float
-    G1: float  # noqa: N815
-    G2: float  # noqa: N815
+    G1: float
+    G2: float
     charge: float = 40.0
     coupler_kick: float = 0.0
 

@@ -44,7 +44,7 @@ def linac_map() -> FieldMap:
     field = on_axis(z)
     field /= np.abs(field).max()
     spectrum = np.fft.rfft(field) / _SAMPLES
-    k = 2.0 * np.pi * np.arange(len(spectrum)) / period
+    k = 2.0 * np.pi * np.arange(len(spectrum), dtype=np.float64) / period
     kept = k < _HIGHEST_WAVE_NUMBER
     # From the phase at the first sample to that at the start of the map.
     amplitude = spectrum[kept] * np.exp(-1j * k[kept] * z[0]) * np.where(k[kept] > 0.0, 2.0, 1.0)

@@ -46,11 +46,12 @@ def moments(bunch: Bunch) -> Moments:
     particles = bunch.flying
     share = len(particles) / len(bunch.state)
     if len(particles) < 2:
-        return Moments(*[math.nan] * 8, transmission=share)
+        return Moments(*[*[math.nan] * 8, share])
     energy = ELECTRON_REST_ENERGY * (np.sqrt(1.0 + (particles[:, 3:] ** 2).sum(axis=1)) - 1.0)
     sigma = 1e3 * particles[:, :3].std(axis=0)
     emittances = [emittance(particles[:, q], particles[:, 3 + q]) for q in range(3)]
-    return Moments(*sigma.tolist(), *emittances, float(energy.std()), float(energy.mean()), share)
+    values = [*sigma, *emittances, energy.std(), energy.mean(), share]
+    return Moments(*[float(value) for value in values])
 
 
 def emittance(position: FloatArray, momentum: FloatArray) -> float:

@@ -21,15 +21,15 @@ _STEP = 2e-13  # s
 _LONGEST = 2e-8  # s
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _on_axis(field: FloatArray, u: float) -> float:
-    j = int(math.floor(u))
+    j = math.floor(u)
     if j < 0 or j > len(field) - 2:
         return 0.0
-    return field[j] + (u - j) * (field[j + 1] - field[j])
+    return float(field[j] + (u - j) * (field[j + 1] - field[j]))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _final_momentum(
     gun: FloatArray,
     gun_dz: float,

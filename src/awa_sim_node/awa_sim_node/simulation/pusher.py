@@ -41,7 +41,7 @@ class Beamline(NamedTuple):
     coupler_kick: float
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def push(
     phase_space: FloatArray,
     state: NDArray[np.int8],
@@ -163,13 +163,13 @@ def push(
                     a -= i
                     b -= j
                     d -= k
-                    for l in range(2):
-                        wx = a if l == 1 else 1.0 - a
+                    for h in range(2):
+                        wx = a if h == 1 else 1.0 - a
                         for m in range(2):
                             wy = wx * (b if m == 1 else 1.0 - b)
                             for n in range(2):
                                 w = wy * (d if n == 1 else 1.0 - d)
-                                node = own.values[i + l, j + m, k + n]
+                                node = own.values[i + h, j + m, k + n]
                                 e_x += w * node[0]
                                 e_y += w * node[1]
                                 e_z += w * node[2]

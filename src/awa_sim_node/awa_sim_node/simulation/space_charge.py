@@ -141,7 +141,7 @@ class SpaceCharge:
         return kept
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _predict(
     phase_space: FloatArray,
     state: NDArray[np.int8],
@@ -186,7 +186,7 @@ def predicted(
     return points[:count], low, high, momentum
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def deposit(
     points: FloatArray,
     charge: FloatArray,
@@ -232,7 +232,7 @@ def _backward(padded: ComplexArray, shape: tuple[int, int, int]) -> FloatArray:
     return potential
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _times_real(
     charge: ComplexArray, kernel: FloatArray, scale: float, product: ComplexArray
 ) -> None:
@@ -246,7 +246,7 @@ def _times_real(
                 product[i, j, k] = charge[i, j, k] * (scale * kernel[ii, jj, k])
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _times_mirrored(
     charge: ComplexArray, kernel: ComplexArray, scale: float, product: ComplexArray
 ) -> None:
@@ -263,7 +263,7 @@ def _times_mirrored(
                 product[i, j, k] = mirrored * (scale * kernel[ii, jj, k])
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _differentiate(
     own: FloatArray,
     image: FloatArray,
