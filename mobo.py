@@ -125,7 +125,7 @@ def resume(options: argparse.Namespace) -> None:
         given = ["--config", options.config.resolve()] if options.config else []
         if options.evaluations:
             given += ["--evaluations", options.evaluations]
-        module = "mobo_tuner.resume_config"
+        module = "mobo_tuner.runs.resume_config"
         consult(processes, environment.python, module, earlier.path, config, *given)
         consult(processes, environment.python, "awa_sim_node.check_config", config)
         with RosDomain(options.domain_id, network=options.network) as domain:
@@ -218,7 +218,9 @@ def tune(
     conductor = tuning.Conductor(processes, launch)
     ending = conductor.run()
     if folder.has_journal or ending.state == "finished":
-        failure = conductor.report([str(python), "-P", "-m", "mobo_tuner.report", str(folder.path)])
+        failure = conductor.report(
+            [str(python), "-P", "-m", "mobo_tuner.runs.report", str(folder.path)]
+        )
         if failure and ending.state == "finished":
             return tuning.Ending("failed", failure, 1)
     return ending
@@ -317,7 +319,7 @@ def report(options: argparse.Namespace) -> None:
     with Processes() as processes:
         environment = Environment(ROOT, STAGES)
         environment.set_up(processes)
-        consult(processes, environment.python, "mobo_tuner.report", folder.path)
+        consult(processes, environment.python, "mobo_tuner.runs.report", folder.path)
     print(folder.path)
 
 
@@ -333,13 +335,13 @@ def rebuild(options: argparse.Namespace) -> None:
         environment.set_up(processes)
         which = ["--of", options.of] if options.of else []
         arguments = (bag, scratch, *which)
-        consult(processes, environment.python, "mobo_tuner.rebuild", *arguments, timeout=LONG)
+        consult(processes, environment.python, "mobo_tuner.runs.rebuild", *arguments, timeout=LONG)
         folder = RunFolder.create(options.runs_dir, options.run_id, "rebuilt")
         shutil.copy(Path(scratch, JOURNAL_FILE), folder.path)
         folder.record(
             {"run_id": folder.run_id, "state": "rebuilt", "started": now(), "bag": str(bag)}
         )
-        consult(processes, environment.python, "mobo_tuner.report", folder.path)
+        consult(processes, environment.python, "mobo_tuner.runs.report", folder.path)
     print(folder.path)
 
 
@@ -355,7 +357,9 @@ def replay(options: argparse.Namespace) -> None:
     with Processes() as processes:
         environment = Environment(ROOT, STAGES)
         environment.set_up(processes)
-        consult(processes, environment.python, "mobo_tuner.replay", path.resolve(), timeout=LONG)
+        consult(
+            processes, environment.python, "mobo_tuner.runs.replay", path.resolve(), timeout=LONG
+        )
 
 
 def now() -> str:

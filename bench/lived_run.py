@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.history import told_outputs
-from mobo_tuner.records import evaluation_record
-from mobo_tuner.run_log import RunLog
+from mobo_tuner.runs.history import told_outputs
+from mobo_tuner.runs.records import evaluation_record
+from mobo_tuner.runs.run_log import RunLog
 
 Machine = Callable[[Mapping[str, float]], Mapping[str, float]]
 

@@ -19,7 +19,7 @@ from mobo_tuner.ros.parameters import CONSOLE, declare
 from mobo_tuner.ros.process import exit_process, run_node
 from mobo_tuner.ros.qos import LATCHED, STREAM
 from mobo_tuner.ros.waiting import first_of, until
-from mobo_tuner.run_id import check_run_id, new_run_id
+from mobo_tuner.runs.run_id import check_run_id, new_run_id
 
 RECORDED_TOPICS = ("problem", "evaluation", "status", "pareto_front")
 REFRESH_PERIOD = 0.2  # [s]

@@ -18,7 +18,7 @@ from mobo_tuner.ros.conversions import (
     unique_values,
 )
 from mobo_tuner.ros.machine_client import Answer
-from mobo_tuner.run_id import new_run_id
+from mobo_tuner.runs.run_id import new_run_id
 from mobo_tuner.tuning.parts import TunerParts, sentence
 from mobo_tuner.tuning.run import SOURCES, Outcome, Run, Suggestion, missing_diagnostics
 from mobo_tuner.tuning.run_keeper import Ending, end_journal

@@ -13,11 +13,11 @@ from rclpy.duration import Duration
 from mobo_msgs_py import msg
 from mobo_tuner.core.pareto import is_below, is_nondominated
 from mobo_tuner.core.problem import Problem
-from mobo_tuner.history import Changed, History
-from mobo_tuner.journal import Record
-from mobo_tuner.records import SOURCE_NAMES
 from mobo_tuner.ros.conversions import named_values, problem_units
 from mobo_tuner.ros.waiting import until
+from mobo_tuner.runs.history import Changed, History
+from mobo_tuner.runs.journal import Record
+from mobo_tuner.runs.records import SOURCE_NAMES
 from mobo_tuner.tuning.parts import TunerParts
 
 CHUNK = 20  # evaluations that are published before the next wait

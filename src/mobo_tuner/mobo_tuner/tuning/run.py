@@ -15,8 +15,6 @@ from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint
 from mobo_msgs_py.srv import DescribeMachine
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.history import told_outputs
-from mobo_tuner.records import evaluation_record
 from mobo_tuner.ros.conversions import (
     evaluation_message,
     front_message,
@@ -26,7 +24,9 @@ from mobo_tuner.ros.conversions import (
     problem_units,
 )
 from mobo_tuner.ros.machine_client import Answer
-from mobo_tuner.run_log import RunLog
+from mobo_tuner.runs.history import told_outputs
+from mobo_tuner.runs.records import evaluation_record
+from mobo_tuner.runs.run_log import RunLog
 from mobo_tuner.tuning.steering import Change, Steering
 
 Source = Literal["initial", "model", "operator"]

@@ -10,12 +10,12 @@ from rclpy.task import Future
 
 from mobo_msgs_py.action import Tune
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.history import History
-from mobo_tuner.journal import Record, read_journal
-from mobo_tuner.replay import OPTIMIZER_SETTINGS, make_optimizer, restore
-from mobo_tuner.run_id import check_run_id, new_run_id
-from mobo_tuner.run_log import RunLog
-from mobo_tuner.saved_state import SavedState
+from mobo_tuner.runs.history import History
+from mobo_tuner.runs.journal import Record, read_journal
+from mobo_tuner.runs.replay import OPTIMIZER_SETTINGS, make_optimizer, restore
+from mobo_tuner.runs.run_id import check_run_id, new_run_id
+from mobo_tuner.runs.run_log import RunLog
+from mobo_tuner.runs.saved_state import SavedState
 from mobo_tuner.tuning.repetition import earlier_evaluations
 from mobo_tuner.tuning.run import Run
 

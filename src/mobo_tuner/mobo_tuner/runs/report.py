@@ -1,4 +1,4 @@
-"""The report of a run, made from its journal alone: ``python -m mobo_tuner.report RUN_FOLDER``.
+"""The report of a run, made from its journal alone: ``python -m mobo_tuner.runs.report RUN_FOLDER``.
 
 It writes `summary.json`, `hypervolume.png` and `front.png` into the run's folder and prints the
 Pareto front.
@@ -24,9 +24,9 @@ from rich.text import Text
 
 from mobo_tuner.core.problem import Array
 from mobo_tuner.files import replace_file
-from mobo_tuner.journal import JournalError, read_journal
-from mobo_tuner.recorded_run import RecordedRun
-from mobo_tuner.report_figures import front_figure, hypervolume_figure, write_figure
+from mobo_tuner.runs.journal import JournalError, read_journal
+from mobo_tuner.runs.recorded_run import RecordedRun
+from mobo_tuner.runs.report_figures import front_figure, hypervolume_figure, write_figure
 
 SHOWN_POINTS = 12  # of a larger front
 
@@ -185,7 +185,7 @@ def _timestamp(seconds: float) -> str | None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Make the report of one run; return the exit status."""
-    parser = argparse.ArgumentParser(prog="mobo_tuner.report", description="Report of a run.")
+    parser = argparse.ArgumentParser(prog="mobo_tuner.runs.report", description="Report of a run.")
     parser.add_argument("run_folder", type=Path, help="the run's folder, which holds its journal")
     folder = parser.parse_args(arguments).run_folder
     try:

@@ -16,7 +16,7 @@ from typing import Any
 
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.files import replace_file
-from mobo_tuner.history import Changed, History, Told
+from mobo_tuner.runs.history import Changed, History, Told
 
 FILE_NAME = "optimizer.json"
 MAX_BYTES = 1 << 26

@@ -1,6 +1,6 @@
 """The configuration of a run that goes on with an earlier one.
 
-`python -m mobo_tuner.resume_config RUN_FOLDER OUT [--config FILE] [--evaluations N]` writes it and
+`python -m mobo_tuner.runs.resume_config RUN_FOLDER OUT [--config FILE] [--evaluations N]` writes it and
 prints one sentence and exits with 2 where the run cannot be gone on with so.
 """
 
@@ -17,9 +17,9 @@ import yaml
 
 from mobo_tuner.core.parameter_file import load_yaml
 from mobo_tuner.core.problem import SECTIONS, Problem, ProblemError
-from mobo_tuner.history import History
-from mobo_tuner.journal import JournalError, read_journal
-from mobo_tuner.replay import OPTIMIZER_SETTINGS
+from mobo_tuner.runs.history import History
+from mobo_tuner.runs.journal import JournalError, read_journal
+from mobo_tuner.runs.replay import OPTIMIZER_SETTINGS
 
 CONFIG_FILE = "config.yaml"
 
@@ -87,7 +87,7 @@ def _check(content: Mapping[str, Any], history: History) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write one configuration; return the exit status."""
-    parser = argparse.ArgumentParser(prog="mobo_tuner.resume_config", description=__doc__)
+    parser = argparse.ArgumentParser(prog="mobo_tuner.runs.resume_config", description=__doc__)
     parser.add_argument("run_folder", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--config", type=Path)

@@ -12,7 +12,7 @@ from typing import Any
 
 from mobo_tuner.core.dataset import Measured
 from mobo_tuner.core.problem import Problem, ProblemError
-from mobo_tuner.journal import JournalError, Record
+from mobo_tuner.runs.journal import JournalError, Record
 
 SOURCES = ("initial", "model", "operator")
 _FIGURES = ("stamp", "hypervolume", "suggest_seconds", "machine_seconds", "total_seconds")

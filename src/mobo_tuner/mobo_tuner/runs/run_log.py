@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from mobo_tuner.core import Optimizer
-from mobo_tuner.journal import Journal, Record, journal_line
-from mobo_tuner.saved_state import SavedState
+from mobo_tuner.runs.journal import Journal, Record, journal_line
+from mobo_tuner.runs.saved_state import SavedState
 
 _OUTLINED = ("start", "change")
 

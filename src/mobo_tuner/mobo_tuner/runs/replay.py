@@ -1,6 +1,6 @@
 """A run lived through again: the optimiser as it was, and whether it asks what was asked then.
 
-`python -m mobo_tuner.replay RUN` asks for every suggestion of a run anew, from its folder or its
+`python -m mobo_tuner.runs.replay RUN` asks for every suggestion of a run anew, from its folder or its
 bag alone, and says whether they are the same to the last bit.
 """
 
@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from mobo_tuner.core import Optimizer, Problem, ProblemError
-from mobo_tuner.history import Changed, History, Told
-from mobo_tuner.journal import JournalError, Record, read_journal
-from mobo_tuner.rebuild import BagError, records_of_bag
-from mobo_tuner.saved_state import SavedState
+from mobo_tuner.runs.history import Changed, History, Told
+from mobo_tuner.runs.journal import JournalError, Record, read_journal
+from mobo_tuner.runs.rebuild import BagError, records_of_bag
+from mobo_tuner.runs.saved_state import SavedState
 
 OPTIMIZER_SETTINGS = ("preset", "seed", "initial_evaluations", "proximal")  # of a tuner
 
@@ -125,7 +125,7 @@ def records_of(path: Path) -> list[Record]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Compare one run; return 0 where every suggestion is the same, else 1."""
-    parser = argparse.ArgumentParser(prog="mobo_tuner.replay", description="Replay of a run.")
+    parser = argparse.ArgumentParser(prog="mobo_tuner.runs.replay", description="Replay of a run.")
     parser.add_argument("run", type=Path, help="run folder, journal, bag folder or .mcap file")
     path = parser.parse_args(arguments).run
     try:

@@ -13,11 +13,16 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from mobo_tuner import report
 from mobo_tuner.core.problem import Problem
-from mobo_tuner.journal import FILE_NAME, Journal, JournalError, read_journal
-from mobo_tuner.recorded_run import RecordedRun
-from mobo_tuner.report_figures import front_figure, hypervolume_figure, product_of_units, staircase
+from mobo_tuner.runs import report
+from mobo_tuner.runs.journal import FILE_NAME, Journal, JournalError, read_journal
+from mobo_tuner.runs.recorded_run import RecordedRun
+from mobo_tuner.runs.report_figures import (
+    front_figure,
+    hypervolume_figure,
+    product_of_units,
+    staircase,
+)
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from mobo_tuner.core.pareto import is_nondominated
 from mobo_tuner.core.problem import Array, Objective
 from mobo_tuner.files import replace_file
-from mobo_tuner.recorded_run import BoolArray, RecordedRun
+from mobo_tuner.runs.recorded_run import BoolArray, RecordedRun
 
 FRONT_PLANE = ("dE", "eps_x")  # shown where a problem has both, as (across, up)
 

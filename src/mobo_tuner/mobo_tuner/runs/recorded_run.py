@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mobo_tuner.core.pareto import is_below, is_nondominated
 from mobo_tuner.core.problem import Array, Problem, ProblemError
-from mobo_tuner.journal import JournalError, Record
+from mobo_tuner.runs.journal import JournalError, Record
 
 BoolArray = NDArray[np.bool_]
 

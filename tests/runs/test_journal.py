@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mobo_tuner.journal import FILE_NAME, Journal, JournalError, read_journal
+from mobo_tuner.runs.journal import FILE_NAME, Journal, JournalError, read_journal
 
 HEADER = {"run_id": "run1", "stamp": 12.5, "problem": {"variables": {}}, "settings": {"seed": 3}}
 
@@ -147,7 +147,7 @@ def test_a_missing_journal_is_an_error(tmp_path: Path) -> None:
 def test_a_full_disk_leaves_whole_lines_and_the_journal_usable(tmp_path: Path) -> None:
     script = """
 import json, resource, sys
-from mobo_tuner.journal import Journal
+from mobo_tuner.runs.journal import Journal
 journal = Journal.create(sys.argv[1], {"run_id": "r"})
 soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
@@ -172,7 +172,7 @@ journal.append({"type": "end"})
 def test_every_announced_record_survives_kill_9(tmp_path: Path) -> None:
     script = """
 import itertools, sys
-from mobo_tuner.journal import Journal
+from mobo_tuner.runs.journal import Journal
 journal = Journal.create(sys.argv[1], {"run_id": "r"})
 for index in itertools.count():
     journal.append({"type": "evaluation", "index": index, "text": "x" * 5000})

@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, WriterError
 
-from mobo_tuner.bag import BagWriter
+from mobo_tuner.runs.bag import BagWriter
 
 DEFINITION = "string data\n"
 TYPE_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from mobo_tuner.journal import Record
+from mobo_tuner.runs.journal import Record
 
 SOURCE_NAMES = ("initial", "model", "operator")  # by the constants of mobo_msgs_py/msg/Evaluation
 

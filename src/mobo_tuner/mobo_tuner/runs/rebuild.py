@@ -1,6 +1,6 @@
 """A run's journal rebuilt from its bag alone, also where the bag was cut off.
 
-`python -m mobo_tuner.rebuild BAG RUN_FOLDER` writes `journal.jsonl` into a folder that has none.
+`python -m mobo_tuner.runs.rebuild BAG RUN_FOLDER` writes `journal.jsonl` into a folder that has none.
 
 The topic `problem` carries how the run was set up and changed, `evaluation` what was measured, and
 `status` how it ended. Messages are decoded by the definitions that are installed here, never by
@@ -21,11 +21,11 @@ from typing import Any
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from mobo_tuner.history import History
-from mobo_tuner.journal import Journal, JournalError, Record, journal_line, parse_journal
-from mobo_tuner.mcap_records import McapError, Message, read_messages
-from mobo_tuner.records import evaluation_record, seconds
 from mobo_tuner.ros.definitions import DefinitionError, find_definition
+from mobo_tuner.runs.history import History
+from mobo_tuner.runs.journal import Journal, JournalError, Record, journal_line, parse_journal
+from mobo_tuner.runs.mcap_records import McapError, Message, read_messages
+from mobo_tuner.runs.records import evaluation_record, seconds
 
 PROBLEM, EVALUATION, STATUS = TYPES = (
     "mobo_msgs_py/msg/Problem",
@@ -194,7 +194,7 @@ def _kinds(records: Iterable[Record]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Rebuild one run; return the exit status."""
-    parser = argparse.ArgumentParser(prog="mobo_tuner.rebuild", description="Run from a bag.")
+    parser = argparse.ArgumentParser(prog="mobo_tuner.runs.rebuild", description="Run from a bag.")
     parser.add_argument("bag", type=Path, help="the bag's folder, or an .mcap file of it")
     parser.add_argument("run_folder", type=Path, help="where the journal is written")
     parser.add_argument("--of", help="which run, where the bag holds several")
