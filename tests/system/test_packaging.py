@@ -16,7 +16,10 @@ import pytest
 from tools.environment import clean_environment
 
 SOURCE = Path(__file__).resolve().parents[2] / "src"
-EXECUTABLES = {"mobo_tuner": ["console", "recorder", "tuner"], "awa_sim_node": ["awa_sim"]}
+EXECUTABLES = {
+    "mobo_tuner": ["console", "machine_bridge", "recorder", "tuner"],
+    "awa_sim_node": ["awa_sim"],
+}
 
 
 @pytest.fixture(scope="module")
