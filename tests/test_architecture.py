@@ -5,12 +5,16 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import mobo_tuner
 
-CORE = Path(mobo_tuner.__file__).parent / "core"
+PACKAGE = Path(mobo_tuner.__file__).parent
 ROS_PACKAGES = ("rclpy", "rcl_interfaces", "mobo_msgs_py", "std_msgs", "builtin_interfaces")
+# From the bottom to the top: each imports itself and those before it.
+LAYERS = ("core", "bridge", "ros", "runs", "tuning", "nodes")
+WITHOUT_ROS = ("core", "bridge", "runs")
 
 
 def test_the_core_works_where_ros_cannot_be_imported() -> None:
@@ -38,17 +42,53 @@ assert optimizer.hypervolume > 3.0, optimizer.hypervolume
     assert done.returncode == 0, done.stderr
 
 
-def test_the_core_imports_nothing_of_the_packages_around_it() -> None:
-    for path in CORE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom):
-                assert node.level <= 1, f"{path.name} imports from outside the core"
-                names = [node.module or ""]
-            elif isinstance(node, ast.Import):
-                names = [alias.name for alias in node.names]
-            else:
-                continue
-            for name in names:
-                package = name.split(".")[0]
-                assert package not in (*ROS_PACKAGES, "torch", "awa_sim_node"), path
-                assert package != "mobo_tuner" or name.startswith("mobo_tuner.core"), path
+def imports(path: Path) -> set[str]:
+    """Every module that a file names in an import, also where only types are checked."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path} has a relative import"
+            assert node.module
+            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+    return names
+
+
+def module_name(path: Path) -> str:
+    """Of a file of the package, with its dots."""
+    name = ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
+    return name.removesuffix(".__init__")
+
+
+def test_what_knows_no_ros_imports_none() -> None:
+    for layer in WITHOUT_ROS:
+        for path in (PACKAGE / layer).rglob("*.py"):
+            foreign = {name.split(".")[0] for name in imports(path)} & {*ROS_PACKAGES}
+            assert not foreign, f"{path} imports {foreign}"
+
+
+def test_each_layer_imports_only_those_below_it() -> None:
+    assert {p.parent.name for p in PACKAGE.glob("*/__init__.py")} == {*LAYERS}
+    for path in PACKAGE.glob("*/*.py"):
+        layer = LAYERS.index(path.parent.name)
+        for name in imports(path):
+            package, *rest = name.split(".")
+            assert package not in ("awa_sim_node", "torch"), f"{path} imports {name}"
+            if package == "mobo_tuner" and rest and rest[0] in LAYERS:
+                assert LAYERS.index(rest[0]) <= layer, f"{path} imports {name}"
+
+
+def test_modules_import_each_other_in_one_direction() -> None:
+    modules = {module_name(path): path for path in PACKAGE.rglob("*.py")}
+    graph = {
+        name: {other for other in imports(path) if other in modules and other != name}
+        for name, path in modules.items()
+    }
+    # An __init__ that offers what its modules make is no more than another name for them.
+    graph = {name: found for name, found in graph.items() if modules[name].stem != "__init__"}
+    assert len(graph) > 50
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        raise AssertionError("a circle of imports: " + " -> ".join(error.args[1])) from None

@@ -10,6 +10,7 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+import tuning_support
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint
 from ros_support import NodeProcess, NodeStarter
@@ -37,20 +38,11 @@ def evaluation_goal(setpoint: dict[str, float], **fields: Any) -> EvaluateSetpoi
     return EvaluateSetpoint.Goal(**{"run_id": "run", "setpoint": named, **fields})
 
 
-class Services:
+class Services(tuning_support.Services):
     """Calls services of the machine's node and waits for the answers."""
 
     def __init__(self, node: Node, spin_until: Callable[..., None]) -> None:
-        self._node = node
-        self._spin_until = spin_until
-
-    def call(self, service: type, name: str, request: Any = None) -> Any:
-        """Call a service once, and return what it answers."""
-        client = self._node.create_client(service, name)
-        self._spin_until(client.service_is_ready, f"the service {name}")
-        future = client.call_async(service.Request() if request is None else request)
-        self._spin_until(future.done, f"the answer of {name}")
-        return future.result()
+        super().__init__(node, spin_until, of="awa_sim")
 
     def change_state(self, transition: int) -> bool:
         """Ask for a transition of the node's life; whether it succeeded."""

@@ -22,6 +22,23 @@ Goal = GoToWorkingPoint.Goal
 CODES = GoToWorkingPoint.Result
 
 
+# The injector with two objectives in which every point is good, so that there is a front at once.
+EASY = """
+/**:
+  ros__parameters:
+    variables:
+      K1:   {min: 400.0, max: 550.0, unit: A}
+      K2:   {min: 180.0, max: 280.0, unit: A}
+      phi1: {min: -10.0, max: 0.0, unit: deg}
+      phi2: {min: -10.0, max: 0.0, unit: deg}
+      G1:   {min: 60.0, max: 75.0, unit: MV/m}
+      G2:   {min: 15.0, max: 25.0, unit: MV/m}
+    objectives:
+      eps_x: {reference: 1.0e+6, unit: mm mrad}
+      dE:    {reference: 1.0e+3, unit: MeV}
+"""
+
+
 @pytest.fixture
 def mover(node: Node, spin_until: Callable[..., None]) -> GoalClient:
     return GoalClient(node, spin_until, GoToWorkingPoint, "go_to_working_point")
@@ -74,7 +91,7 @@ def test_the_front_is_listed_gone_to_and_held(
     refused = mover.wait()
     assert (refused.error_code, refused.error_msg) == (CODES.INVALID_GOAL, nothing)
 
-    client.send(Tune.Goal(run_id="front", evaluations=12))
+    client.send(Tune.Goal(run_id="front", evaluations=20))
     front = client.wait().pareto_front
     points = listed(services, True)
     assert points.success, points.message
@@ -84,7 +101,8 @@ def test_the_front_is_listed_gone_to_and_held(
     assert len(points.predicted.points) > 50
     for point in points.predicted.points:
         x, f = values(point.setpoint), values(point.objectives)
-        assert f["f1"] == pytest.approx(math.hypot(x["x1"] - 1, x["x2"] - 1), abs=0.3)
+        assert f["f1"] == pytest.approx(math.hypot(x["x1"] - 1, x["x2"] - 1), abs=0.2)
+        assert f["f2"] == pytest.approx(math.hypot(x["x1"] + 1, x["x2"] + 1), abs=0.2)
         assert all(item.stddev > 0.0 for item in point.objectives)
 
     weights = {"f1": 1.0, "f2": 2.5}
@@ -106,7 +124,7 @@ def test_the_front_is_listed_gone_to_and_held(
     assert [f.evaluations for f in mover.feedback if f.phase == "measuring"][-5:] == [1, 2, 3, 4, 5]
     spin_until(lambda: len(evaluations.messages) == 5, "the evaluations")
     told = evaluations.messages
-    assert [m.index for m in told] == [12, 13, 14, 15, 16]
+    assert [m.index for m in told] == [20, 21, 22, 23, 24]
     assert told[0].source == msg.Evaluation.OPERATOR
     assert values(told[0].setpoint) == values(chosen.setpoint)
     for message in told:
@@ -117,10 +135,10 @@ def test_the_front_is_listed_gone_to_and_held(
     assert position(node, spin_until) == pytest.approx(values(best.setpoint), abs=1e-9)
     records = journal(tmp_path, told[0].run_id)
     assert [r["type"] for r in records] == ["start", *["evaluation"] * 5, "end"]
-    assert len(journal(tmp_path, "front")) == 14
+    assert len(journal(tmp_path, "front")) == 22
     # What was measured while holding is on the list, too.
     indices = {point.index for point in listed(services, False).measured.points}
-    assert indices & {12, 13, 14, 15, 16}
+    assert indices & {20, 21, 22, 23, 24}
 
 
 def test_goals_that_cannot_be_served_and_a_cancel_on_the_way(
@@ -131,9 +149,12 @@ def test_goals_that_cannot_be_served_and_a_cancel_on_the_way(
     services: Services,
     node: Node,
     spin_until: Callable[..., None],
+    tmp_path: Path,
 ) -> None:
+    config = tmp_path / "easy.yaml"
+    config.write_text(EASY)
     machine = start_machine("speed:=20.0", "mode:=ideal", config="awa.yaml")
-    start_tuner("machine_timeout:=1.0", "discovery_timeout:=1.0", config="awa.yaml")
+    start_tuner("machine_timeout:=1.0", "discovery_timeout:=10.0", config=config)
     statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
     client.send(Tune.Goal(run_id="short", evaluations=50))
     spin_until(

@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 import math
 import time
+import uuid
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from rcl_interfaces.srv import SetParametersAtomically
+import pytest
+from action_msgs.srv import CancelGoal
+from rcl_interfaces.srv import GetParameterTypes, SetParametersAtomically
 from rclpy.action import ActionClient, ActionServer, CancelResponse
+from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
@@ -20,9 +24,28 @@ from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_msgs_py.srv import DescribeMachine
 from mobo_tuner.ros.waiting import first_of
+from ros_support import TIMEOUT
 
 CONFIG = Path(__file__).parents[2] / "config"
 Spin = Callable[..., None]
+
+
+def meet(probe: Client, request: Any, spin_until: Spin) -> None:
+    """Wait until a server knows of all the clients that were made before `probe`.
+
+    Client and server discover each other in their own time, and a server drops the answer to a
+    client that it has not discovered yet. So the server is asked what does no harm, until it answers.
+    """
+    spin_until(probe.service_is_ready, f"the service {probe.srv_name}")
+    deadline = time.monotonic() + TIMEOUT
+    while time.monotonic() < deadline:
+        answer = probe.call_async(request)
+        again = time.monotonic() + 1.0
+        spin_until(lambda: answer.done() or time.monotonic() > again, "")  # noqa: B023
+        if answer.done():
+            return
+        probe.remove_pending_request(answer)
+    pytest.fail(f"waited {TIMEOUT:g} s in vain for an answer on '{probe.srv_name}'")
 
 
 class GoalClient:
@@ -30,6 +53,8 @@ class GoalClient:
 
     def __init__(self, node: Node, spin_until: Spin, action: type, name: str) -> None:
         self._client = ActionClient(node, action, name)
+        # Made last: a server that answers it has discovered all of the action client.
+        self._probe = node.create_client(CancelGoal, f"{name}/_action/cancel_goal")
         self._spin_until = spin_until
         self._name = name
         self.feedback: list[Any] = []
@@ -39,6 +64,9 @@ class GoalClient:
     def send(self, goal: Any) -> None:
         """Send a goal and wait until it is accepted."""
         self._spin_until(self._client.server_is_ready, f"the server of {self._name}")
+        nobodys = CancelGoal.Request()
+        nobodys.goal_info.goal_id.uuid = list(uuid.uuid4().bytes)
+        meet(self._probe, nobodys, self._spin_until)
         sent = self._client.send_goal_async(
             goal, feedback_callback=lambda message: self.feedback.append(message.feedback)
         )
@@ -69,16 +97,20 @@ def machine_client(node: Node, spin_until: Spin) -> GoalClient:
 
 
 class Services:
-    """Calls services by their type and name, and sets the tuner's parameters."""
+    """Calls services of a node by their type and name, and sets the tuner's parameters."""
 
-    def __init__(self, node: Node, spin_until: Spin) -> None:
+    def __init__(self, node: Node, spin_until: Spin, of: str = "tuner") -> None:
         self._node = node
         self._spin_until = spin_until
+        self._of = of
 
     def call(self, kind: type, name: str, request: Any = None, timeout: float = 30.0) -> Any:
         """The response of one call."""
         client = self._node.create_client(kind, name)
+        probe = self._node.create_client(GetParameterTypes, f"{self._of}/get_parameter_types")
         self._spin_until(client.service_is_ready, f"the service {name}")
+        meet(probe, GetParameterTypes.Request(), self._spin_until)
+        self._node.destroy_client(probe)
         future = client.call_async(kind.Request() if request is None else request)
         self._spin_until(future.done, f"the answer of {name}", timeout)
         self._node.destroy_client(client)

@@ -63,6 +63,7 @@ class Console:
         self._view = make_view(self._progress)
         self._recorder: RecorderStatus | None = None
         self._last_status = time.monotonic()
+        self._heard = False  # of the tuner
         self._client = ActionClient(self.node, Tune, "tune")
         for topic, kind, callback, qos in (
             ("problem", Problem, self._progress.set_problem, LATCHED),
@@ -107,7 +108,7 @@ class Console:
         """
         deadline = time.monotonic() + self._ready_timeout
         self._view.stage("waiting for the tuner")
-        if not await self._holds(self._client.server_is_ready, deadline):
+        if not await self._holds(self._tuner_ready, deadline):
             raise ConsoleError(f"no tuner was found within {self._ready_timeout:g} s")
         if self._wait_for_recorder:
             self._view.stage("waiting for the recorder")
@@ -120,6 +121,14 @@ class Console:
         timeout = max(deadline - time.monotonic(), 0.0)
         held = await until(self.node, condition, self._interrupt, timeout=timeout)
         return held or self._interrupt.done()
+
+    def _tuner_ready(self) -> bool:
+        """Whether a goal can be sent and its answer will come.
+
+        The tuner drops its answer to a client that it has not discovered. It discovers this node's
+        endpoints in the order in which they were made: once its status comes it knows the client.
+        """
+        return self._heard and self._client.server_is_ready()
 
     def _recorder_ready(self) -> bool:
         return (
@@ -190,6 +199,7 @@ class Console:
         print(text, flush=True)
 
     def _on_status(self, status: TunerStatus) -> None:
+        self._heard = True
         self._last_status = time.monotonic()
         self._progress.set_status(status)
 

@@ -21,7 +21,7 @@ from mobo_tuner.tuning.publishers import TunerPublishers
 from mobo_tuner.tuning.run_keeper import RunKeeper
 from mobo_tuner.tuning.session import Session
 from mobo_tuner.tuning.status import Status
-from mobo_tuner.tuning.steering import SteeringServices
+from mobo_tuner.tuning.steering_services import SteeringServices
 from mobo_tuner.tuning.tune_server import TuneServer
 from mobo_tuner.tuning.working_points import WorkingPoints
 

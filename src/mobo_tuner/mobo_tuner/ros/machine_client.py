@@ -55,9 +55,11 @@ class MachineClient:
         self._node = node
         self._silence_timeout = silence_timeout
         self._evaluation_timeout = evaluation_timeout
-        self._describe = node.create_client(DescribeMachine, "describe_machine")
         self._evaluate = ActionClient(node, EvaluateSetpoint, "evaluate_setpoint")
         self._apply = ActionClient(node, ApplySetpoint, "apply_setpoint")
+        # Made last: endpoints are discovered in this order, so that a machine that answers this one
+        # knows the others, too. It would drop its answers to a client that it does not know yet.
+        self._describe = node.create_client(DescribeMachine, "describe_machine")
 
     async def describe(
         self, timeout: float, *interrupts: Future
