@@ -38,6 +38,9 @@ FAULTS = (
     "offset",  # the supplies read 500 mA too much
     "nan",  # they read nothing
     "frozen",  # they repeat their last reading, its stamp included
+    "doubled",  # they say everything twice
+    "late",  # what they say is 5 s old
+    "deaf",  # they do not hear commands
     "silent",  # they say nothing
     "unlit",  # the camera sees nothing: NaN
     "jammed",  # the camera's Trigger fails
@@ -72,7 +75,7 @@ class ForeignMachine(Node):
     def command(self, message: JointState) -> None:
         """New currents for some supplies."""
         for name, position in zip(message.name, message.position, strict=False):
-            if name in self.target:
+            if name in self.target and self.fault != "deaf":
                 self.target[name] = position
 
     def step(self) -> None:
@@ -90,8 +93,11 @@ class ForeignMachine(Node):
             message.position = [math.nan] * len(SUPPLIES)
         elif self.fault == "frozen":
             message = self.frozen or message
+        elif self.fault == "late":
+            message.header.stamp.sec -= 5
         self.frozen = message
-        self.state.publish(message)
+        for _ in range(2 if self.fault == "doubled" else 1):
+            self.state.publish(message)
 
     def tell_permit(self) -> None:
         """Say whether anything may move."""

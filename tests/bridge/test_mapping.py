@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,21 @@ def changed(path: str, value: Any) -> dict[str, Any]:
     else:
         branch[leaf] = value
     return content
+
+
+def test_the_manual_names_every_key() -> None:
+    manual = (CONFIG.parent / "docs" / "bridge.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (`[^|]*`) \|", manual, flags=re.MULTILINE)
+    named = {word for row in rows for word in re.findall(r"\w+", row)}
+    source = (CONFIG.parent / "src/mobo_tuner/mobo_tuner/bridge/mapping.py").read_text()
+    asked = re.findall(
+        r"\.(?:get|number|whole|text|choice|section|sections)\(\s*\"(\w+)\"|_path\(section, \"(\w+)\"",
+        source,
+    )
+    assert len(asked) > 25
+    keys = {a or b for a, b in asked} - {"equals"}  # of a condition, in the text below the table
+    assert keys <= named
+    assert "`equals: value`" in manual
 
 
 @pytest.mark.parametrize("path", MAPPINGS, ids=lambda path: path.name)

@@ -24,9 +24,9 @@ CLEANUP = Transition.TRANSITION_CLEANUP
 SHUTDOWN = Transition.TRANSITION_INACTIVE_SHUTDOWN
 
 
-def start_machine(start_node: NodeStarter, **parameters: Any) -> NodeProcess:
+def start_machine(start_node: NodeStarter, namespace: str = "", **parameters: Any) -> NodeProcess:
     """Start the simulated machine with these parameters."""
-    options = []
+    options = ["-r", f"__ns:={namespace}"] if namespace else []
     for name, value in parameters.items():
         options += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]
     return start_node("-m", "awa_sim_node.node", "--ros-args", *options)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from rcl_interfaces.msg import ParameterValue, SetParametersResult
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.action import ActionServer, CancelResponse
@@ -23,6 +26,7 @@ from mobo_tuner.ros.machine_backend import Failure, Operation
 from mobo_tuner.ros.qos import LATCHED
 
 RESULT = EvaluateSetpoint.Result
+MANUAL = Path(__file__).parents[2] / "docs" / "bridge.md"
 Spin = Callable[..., None]
 APPLY = "mobo_msgs_py/action/ApplySetpoint"
 
@@ -293,6 +297,26 @@ def test_a_mapping_that_does_not_fit_the_types_is_refused(
     with pytest.raises(MappingError) as caught:
         BridgeBackend(node, parse_mapping(changed(path, value), "lab.yaml"), executor)
     assert sentence in str(caught.value)
+
+
+def manual_example() -> Any:
+    """The whole example of the manual."""
+    text = MANUAL.read_text(encoding="utf-8")
+    found = re.search(r"<!-- A test loads this. -->\n```yaml\n(.*?)```", text, flags=re.DOTALL)
+    assert found is not None
+    return yaml.safe_load(found[1])
+
+
+def test_the_manuals_example_fits_the_types(node: Node, executor: SingleThreadedExecutor) -> None:
+    mapping = parse_mapping(manual_example(), "manual")
+    bridge = BridgeBackend(node, mapping, executor)
+    assert [(v.name, v.min, v.max, v.unit) for v in bridge.variables] == [
+        ("Q1", -10.0, 10.0, "A"),
+        ("phase", -30.0, 30.0, "deg"),
+    ]
+    refusal = bridge.refusal()
+    assert refusal is not None
+    assert refusal.code == RESULT.INTERLOCK  # nothing of it is there
 
 
 def test_an_array_without_gaps_is_accepted_with_its_template(

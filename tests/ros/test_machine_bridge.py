@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -44,6 +45,8 @@ class Bridged:
     node: Node
     spin_until: Spin
     client: GoalClient
+    machine: NodeProcess
+    restart: Callable[[], NodeProcess]
     bridge: NodeProcess
     commands: list[JointState]
     set_parameters: Any
@@ -84,7 +87,7 @@ def start(
         change(mapping)
         file = tmp_path / "mapping.yaml"
         file.write_text(yaml.safe_dump(mapping), encoding="utf-8")
-        start_node(str(EXAMPLE))
+        machine = start_node(str(EXAMPLE))
         options = ("--ros-args", "-p", f"mapping:={file}")
         bridge = start_node("-m", "mobo_tuner.nodes.machine_bridge", *options)
         set_parameters = node.create_client(SetParameters, "/foreign_machine/set_parameters")
@@ -92,7 +95,16 @@ def start(
         node.create_subscription(JointState, "supplies/command", commands.append, 100)
         spin_until(set_parameters.service_is_ready, "the foreign machine")
         client = machine_client(node, spin_until)
-        bridged = Bridged(node, spin_until, client, bridge, commands, set_parameters)
+        bridged = Bridged(
+            node,
+            spin_until,
+            client,
+            machine,
+            lambda: start_node(str(EXAMPLE)),
+            bridge,
+            commands,
+            set_parameters,
+        )
         if ready:
             bridged.until_ready()
         commands.clear()
@@ -128,38 +140,84 @@ def test_it_moves_in_small_steps_and_measures(start: Callable[..., Bridged]) -> 
     assert {f.phase for f in machine.client.feedback} == {"ramping", "settling", "measuring"}
 
 
-def test_every_fault_at_rest_ends_as_documented(start: Callable[..., Bridged]) -> None:
-    def impatient(mapping: dict[str, Any]) -> None:
-        for diagnostic in mapping["diagnostics"].values():
-            diagnostic["read"]["timeout"] = 0.5
+def impatient(mapping: dict[str, Any]) -> None:
+    """Short waits for what never comes."""
+    mapping["move"]["timeout"] = 1.0
+    for diagnostic in mapping["diagnostics"].values():
+        diagnostic["read"]["timeout"] = 0.5
 
+
+SUPPLIES, CAMERA = "the topic 'supplies/state'", "the service 'camera/look'"
+# How an evaluation ends that begins when a fault is there, what it says, and whether anything moved.
+FAULTS = {
+    "offset": (RESULT.INTERLOCK, "x1 reads 0.5, but was set to 0", False),
+    "nan": (RESULT.MACHINE_LOST, "(it is nan)", False),
+    "frozen": (RESULT.MACHINE_LOST, "(its stamp does not advance)", False),
+    "late": (RESULT.MACHINE_LOST, "(its stamp is 5.", False),
+    "silent": (RESULT.MACHINE_LOST, f"x1 is not known: {SUPPLIES} gave no value for", False),
+    "no_permit": (RESULT.INTERLOCK, "interlock permit forbids to move", False),
+    "doubled": (RESULT.NONE, "", True),
+    "deaf": (RESULT.TIMEOUT, "x1 reads 0, which is not within 0.01 of its set-point 0.02", True),
+    "unlit": (RESULT.INVALID_MEASUREMENT, f"{CAMERA} gave no number (it is nan)", True),
+    "jammed": (RESULT.INVALID_MEASUREMENT, "failed: the shutter is jammed", True),
+    "slow": (RESULT.TIMEOUT, f"f1: {CAMERA} did not answer within 0.5 s", True),
+}
+UNSEEN_AT_REST = ("doubled", "deaf")
+
+
+def test_every_fault_at_rest_ends_as_documented(start: Callable[..., Bridged]) -> None:
     machine = start(impatient)
-    supplies, camera = "the topic 'supplies/state'", "the service 'camera/look'"
-    for fault, code, sentence, moves in (
-        ("offset", RESULT.INTERLOCK, "x1 reads 0.5, but was set to 0", False),
-        ("nan", RESULT.MACHINE_LOST, "(it is nan)", False),
-        ("frozen", RESULT.MACHINE_LOST, "(its stamp does not advance)", False),
-        ("silent", RESULT.MACHINE_LOST, f"x1 is not known: {supplies} gave no value for", False),
-        ("unlit", RESULT.INVALID_MEASUREMENT, f"{camera} gave no number (it is nan)", True),
-        ("jammed", RESULT.INVALID_MEASUREMENT, "failed: the shutter is jammed", True),
-        ("slow", RESULT.TIMEOUT, f"f1: {camera} did not answer within 0.5 s", True),
-        ("no_permit", RESULT.INTERLOCK, "interlock permit forbids to move", False),
-    ):
+    for fault, (code, sentence, moves) in FAULTS.items():
         machine.fault(fault)
         deadline = time.monotonic() + 10.0
-        while machine.evaluate(0.0, 0.0).error_code == RESULT.NONE:  # until the bridge sees it
-            assert time.monotonic() < deadline, fault
+        while fault not in UNSEEN_AT_REST and machine.evaluate(0.0, 0.0).error_code == RESULT.NONE:
+            assert time.monotonic() < deadline, fault  # until the bridge sees it
         machine.commands.clear()
         result = machine.evaluate(0.02, 0.0)
         assert (fault, result.error_code) == (fault, code), result.error_msg
         assert sentence in result.error_msg
         assert bool(machine.commands) == moves, fault
-        assert {d.name for d in result.diagnostics} == ({"f1", "f2"} if fault == "unlit" else set())
-        assert all(math.isnan(d.value) for d in result.diagnostics)
+        seen = {d.name for d in result.diagnostics}
+        assert seen == ({"f1", "f2"} if fault in ("unlit", "doubled") else set()), fault
+        assert all(math.isnan(d.value) == (fault == "unlit") for d in result.diagnostics)
+        # Refused, the goal has no readbacks: nobody asked the machine for any.
         assert {r.name for r in result.readbacks} == ({"x1", "x2"} if moves else set())
         machine.fault("none")
         machine.until_ready()
     assert "Traceback" not in machine.bridge.stderr
+
+
+def test_the_manual_says_how_every_fault_ends() -> None:
+    codes = {
+        value: name
+        for name, value in vars(type(RESULT)).items()
+        if name.isupper() and isinstance(value, int)
+    }
+    manual = (EXAMPLE.parents[1] / "docs" / "bridge.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \|.*\| (`\w+`|none) \|$", manual, flags=re.MULTILINE)
+    documented = {fault: ending.strip("`") for fault, ending in rows}
+    assert documented == {
+        fault: codes[code] if code else "none" for fault, (code, _, _) in FAULTS.items()
+    }
+
+
+def test_a_machine_that_dies_is_lost_and_taken_up_again(start: Callable[..., Bridged]) -> None:
+    machine = start()
+    machine.send(0.0, 0.0, shots=100)
+    machine.spin_until(
+        lambda: any(f.phase == "measuring" for f in machine.client.feedback), "the measurement"
+    )
+    machine.machine.kill()
+    result = machine.client.wait()
+    assert result.error_code in (RESULT.MACHINE_LOST, RESULT.INTERLOCK, RESULT.TIMEOUT)
+    assert "gave no value for" in result.error_msg or "did not answer" in result.error_msg
+    machine.commands.clear()
+    gone = machine.evaluate(0.5, 0.0)
+    assert gone.error_code in (RESULT.MACHINE_LOST, RESULT.INTERLOCK)
+    assert machine.commands == []
+    machine.restart()
+    machine.until_ready()
+    assert machine.evaluate(0.5, 0.0).error_code == RESULT.NONE
 
 
 def test_what_is_not_there_is_said_before_anything_moves(start: Callable[..., Bridged]) -> None:

@@ -31,8 +31,8 @@ class Signal:
     """The latest value of one endpoint, and whoever listens to its values.
 
     A message whose stamp is older than `stale_after` or `not_before`, or not newer than that of the
-    message before, is dropped. A value that is not there or not finite counts as NaN: listeners hear of it, but it does
-    not replace the latest.
+    message before, is dropped. A value that is not there or not finite counts as NaN: listeners hear
+    of it, but it does not replace the latest.
 
     Args:
         clock: of the stamps.
@@ -106,7 +106,7 @@ class Signal:
             self._fault = str(error)
             return False
         now = seconds(self._clock.now().to_msg())
-        if stamp <= self._stamp:
+        if stamp == self._stamp:
             self._fault = "its stamp does not advance"
             return False
         if stamp < self.not_before:
@@ -114,6 +114,9 @@ class Signal:
             return False
         if now - stamp > self.endpoint.stale_after:
             self._fault = f"its stamp is {now - stamp:.1f} s old"
+            return False
+        if stamp < self._stamp:
+            self._fault = "its stamp goes back"
             return False
         self._stamp = stamp
         return True
