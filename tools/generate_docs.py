@@ -12,7 +12,7 @@ from pathlib import Path
 
 from awa_sim_node.machine import Mode, behaviour_of
 from awa_sim_node.parameters import AWA_SIM
-from mobo_tuner.ros.parameters import CONSOLE, RECORDER, TUNER, ParameterSpec
+from mobo_tuner.ros.parameters import CONSOLE, MACHINE_BRIDGE, RECORDER, TUNER, ParameterSpec
 
 ROOT = Path(__file__).resolve().parent.parent
 INTERFACES = ROOT / "src" / "mobo_msgs_py"
@@ -124,6 +124,7 @@ def parameters() -> str:
     for node, specs in (
         ("tuner", TUNER),
         ("awa_sim", AWA_SIM),
+        ("machine_bridge", MACHINE_BRIDGE),
         ("recorder", RECORDER),
         ("console", CONSOLE),
     ):
