@@ -166,7 +166,6 @@ class BridgeBackend:
         start = self._start()
         largest = {n: min(v.max_step, v.slew * period) for n, v in variables.items()}
         steps = count_steps(start, target, largest)
-        due = time.monotonic()
         for number, point in enumerate(interpolate(start, target, steps), start=1):
             if operation.interrupt.done():
                 return None
@@ -178,9 +177,8 @@ class BridgeBackend:
                     code = _Result.UNKNOWN if error.answered else _Result.MACHINE_LOST
                     return None if operation.interrupt.done() else Failure(code, str(error))
             operation.progress(RAMPING, number / steps)
-            # Never two steps in less than a period, also where sending took longer than that.
-            due = max(due, time.monotonic() - period) + period
-            await self._pause(operation, due - time.monotonic())
+            # Never two steps in less than a period, also where the one before came late.
+            await self._pause(operation, period)
         return None
 
     async def _settle(self, operation: Operation) -> Failure | None:
