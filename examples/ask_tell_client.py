@@ -8,13 +8,17 @@ plays the paper's toy problem. The tuner must be running:
 
 import math
 import sys
+import time
 from typing import Any
 
 import rclpy
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from mobo_msgs_py.msg import NamedValue
+from mobo_msgs_py.msg import NamedValue, TunerStatus
 from mobo_msgs_py.srv import Ask, ListWorkingPoints, Tell
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def measure(x: dict[str, float]) -> dict[str, float]:
@@ -34,9 +38,14 @@ class MyLoop(Node):
         self.ask = self.create_client(Ask, "ask")
         self.tell = self.create_client(Tell, "tell")
         self.working_points = self.create_client(ListWorkingPoints, "list_working_points")
-        for client in (self.ask, self.tell, self.working_points):
-            if not client.wait_for_service(timeout_sec=10.0):
-                sys.exit(f"no tuner answered on '{client.srv_name}' within 10 s")
+        # A tuner whose status is heard has discovered this program; before, its answers get lost.
+        statuses: list[TunerStatus] = []
+        self.create_subscription(TunerStatus, "status", statuses.append, LATCHED)
+        deadline = time.monotonic() + 30.0
+        while not (statuses and self.ask.service_is_ready() and self.tell.service_is_ready()):
+            if time.monotonic() > deadline:
+                sys.exit("no tuner answered on 'ask' and 'tell' within 30 s")
+            rclpy.spin_once(self, timeout_sec=0.1)
 
     def call(self, client: Any, request: Any) -> Any:
         """The answer to a request, which must be a success."""

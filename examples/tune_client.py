@@ -19,7 +19,8 @@ from rclpy.signals import SignalHandlerOptions
 from mobo_msgs_py.action import Tune
 from mobo_msgs_py.msg import TunerStatus
 
-TIMEOUT = 10.0  # [s] without a word from the tuner
+START_TIMEOUT = 30.0  # [s] for the tuner to appear
+TIMEOUT = 10.0  # [s] without a word from it
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -33,10 +34,10 @@ class MyProgram(Node):
         # A tuner whose status is heard has discovered this program; before, its answers get lost.
         self.create_subscription(TunerStatus, "status", self.on_status, LATCHED)
         self.heard: float | None = None  # when the tuner spoke last, by `time.monotonic`
-        deadline = time.monotonic() + TIMEOUT
+        deadline = time.monotonic() + START_TIMEOUT
         while self.heard is None or not self.client.server_is_ready():
             if time.monotonic() > deadline:
-                sys.exit(f"no tuner answered on 'tune' within {TIMEOUT:g} s")
+                sys.exit(f"no tuner answered on 'tune' within {START_TIMEOUT:g} s")
             rclpy.spin_once(self, timeout_sec=0.1)
 
     def tune(self, evaluations: int) -> Tune.Result:

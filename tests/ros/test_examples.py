@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import signal
+from collections.abc import Callable
 from pathlib import Path
 
-from ros_support import NodeStarter
+import pytest
+
+from ros_support import NodeProcess, NodeStarter, wait_until
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -33,3 +37,58 @@ def test_a_loop_of_ones_own_asks_and_tells(start_node: NodeStarter) -> None:
     assert hypervolumes == sorted(hypervolumes)
     assert len(lines) > 11
     assert all(line.startswith("f1 = ") for line in lines[9:])
+
+
+def test_a_client_is_interrupted_and_a_run_is_steered_from_the_shell(
+    start_node: NodeStarter,
+    start_machine: Callable[..., NodeProcess],
+    start_tuner: Callable[..., NodeProcess],
+) -> None:
+    start_machine()
+    start_tuner("initial_evaluations:=4")
+
+    def steer(*words: str) -> NodeProcess:
+        process = start_node("-u", str(ROOT / "examples" / "steer.py"), *words)
+        process.wait(60.0)
+        return process
+
+    wait_until(lambda: steer("status").stdout == "idle\n", "the tuner", 60.0)
+    refused = steer("pause")
+    assert refused.popen.returncode == 1
+    assert refused.stderr == "refused: 'pause' concerns a run that goes on, and there is none\n"
+    client = start_node("-u", str(ROOT / "examples" / "tune_client.py"), "1000")
+    wait_until(lambda: len(client.stdout.splitlines()) >= 6, "evaluations", 60.0)
+    assert steer("pause").stdout.startswith("the run pauses before evaluation ")
+    assert "set-points in the queue" in steer("queue", "x1=0.5", "x2=-1e-1").stdout
+    changed = steer("set", "variables.x1.max=1.5", "evaluations=900")
+    assert changed.stdout.startswith("set: variables.x1.max, evaluations; "), changed.stderr
+    wrong = steer("set", "variables.x1.max=-9")
+    assert "refused: variables.x1.min is -2, which must be less than its max of -9" in wrong.stderr
+    assert steer("status").stdout.startswith("paused; run ")
+    assert steer("step").stdout.startswith("one more evaluation")
+    front = steer("points").stdout.splitlines()
+    assert " points, measured; hypervolume " in front[0]
+    index = front[1].split()[0]
+    client.popen.send_signal(signal.SIGINT)
+    assert client.wait(20.0) == 0
+    assert "stopped by canceled the run was stopped: a client canceled it" in client.stdout
+    held = steer("go", index, "--hold", "2")
+    assert held.stdout.startswith(f"point {index}, 2 evaluations to hold it: x1 = "), held.stderr
+    assert steer("best", "f1=1", "f2=2").popen.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["queue", "x1"], "'x1' is not NAME=VALUE"),
+        (["queue", "x1=high"], "'high' in 'x1=high' is not a number"),
+        (["go", "-1"], "'-1' is not a whole number of at least 0"),
+        (["go", "4294967296"], "'4294967296' is not a whole number of at least 0"),
+    ],
+)
+def test_a_slip_on_the_command_line_is_named(
+    start_node: NodeStarter, words: list[str], sentence: str
+) -> None:
+    process = start_node(str(ROOT / "examples" / "steer.py"), *words)
+    assert process.wait() == 2
+    assert sentence in process.stderr
