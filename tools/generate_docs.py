@@ -45,6 +45,11 @@ TOPICS = """| name | type | quality of service | what for |
 | `apply_setpoint` | action `ApplySetpoint` | | served by the machine: go there without measuring |
 | `heartbeat` | `Heartbeat` | reliable, 100 deep | from the tuner to the machine at 1 Hz while a run goes on |
 | `describe_machine` | service `DescribeMachine` | | served by the machine, asked by the tuner |
+| `pause`, `resume`, `step`, `skip`, `stop_after_this` | service `std_srvs/Trigger` | | served by the tuner |
+| `queue_setpoint` | service `QueueSetpoint` | | served by the tuner: an operator's own set-point comes next |
+| `list_working_points` | service `ListWorkingPoints` | | served by the tuner: the front, measured and predicted |
+| `go_to_working_point` | action `GoToWorkingPoint` | | served by the tuner while no run goes on |
+| `ask`, `tell` | services `Ask`, `Tell` | | served by the tuner, for clients that own their loop |
 
 Latched means reliable, transient local, one deep: a late subscriber gets the last message at once. All names are
 relative: they follow namespaces and remappings."""
@@ -102,7 +107,8 @@ def parameters() -> str:
         "",
         "# Parameters",
         "",
-        "All are read when a node starts and are read-only from then on. A whole number may stand for a number.",
+        "Those marked * may be set while a run goes on, and hold from its next evaluation on. The others are read when",
+        "a node starts, and are read-only from then on. A whole number may stand for a number.",
         "",
         "## Problem",
         "",
@@ -110,15 +116,15 @@ def parameters() -> str:
         "",
         "| parameter | type | meaning |",
         "|---|---|---|",
-        "| `variables.<name>.min`, `.max` | number, needed | bounds of the search, within the machine's limits |",
+        "| `variables.<name>.min`, `.max` * | number, needed | bounds of the search, within the machine's limits |",
         "| `variables.<name>.unit` | text | must agree with the machine's |",
-        "| `variables.<name>.cost` | number >= 0, 1.0 | relative cost of changing it, for proximal biasing |",
-        "| `objectives.<name>.reference` | number, needed | component of the reference point |",
+        "| `variables.<name>.cost` * | number >= 0, 1.0 | relative cost of changing it, for proximal biasing |",
+        "| `objectives.<name>.reference` * | number, needed | component of the reference point |",
         "| `objectives.<name>.direction` | minimize or maximize | what is wanted; minimize unless said |",
-        "| `objectives.<name>.truncation` | two numbers [A, B] | side of the truncation box; holds the reference |",
+        "| `objectives.<name>.truncation` * | two numbers [A, B] | side of the truncation box; holds the reference |",
         "| `objectives.<name>.unit` | text | must agree with the machine's |",
-        "| `constraints.<name>.min`, `.max` | numbers, one needed | limits of a diagnostic |",
-        "| `constraints.<name>.critical` | true or false, false | one shot beyond it ends the evaluation |",
+        "| `constraints.<name>.min`, `.max` * | numbers, one needed | limits of a diagnostic |",
+        "| `constraints.<name>.critical` * | true or false, false | one shot beyond it ends the evaluation |",
         "| `observables.<name>.unit` | text | a diagnostic to publish and record besides |",
     ]
     for node, specs in (
@@ -164,8 +170,10 @@ def _row(spec: ParameterSpec) -> str:
     default = f"`{spec.default}`" if spec.default != "" else "empty"
     if isinstance(spec.default, bool):
         default = f"`{str(spec.default).lower()}`"
+    mark = " *" if spec.writable else ""
     return (
-        f"| `{spec.name}` | {spec.type_name} | {default} | {spec.range_text} | {spec.description} |"
+        f"| `{spec.name}`{mark} | {spec.type_name} | {default} | {spec.range_text} "
+        f"| {spec.description} |"
     )
 
 
