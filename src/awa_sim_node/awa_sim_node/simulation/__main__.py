@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
@@ -33,13 +34,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     table.add_argument("--rows", type=int, default=ROWS, help="how many the table shall have")
     table.add_argument("--workers", type=int, default=2, help="processes")
     options = vars(parser.parse_args(arguments))
-    if options.pop("command") == "table":
-        make_table(options["file"], range(options["rows"]), options["workers"])
-        return
-    planes, seed = sorted(options.pop("planes")), options.pop("seed")
-    for plane, moments in zip(
-        planes, Injector(Settings(**options)).track(planes, seed=seed), strict=True
-    ):
+    try:
+        if options.pop("command") == "table":
+            if options["rows"] < 1:
+                raise ValueError(f"rows is {options['rows']}, and must be 1 or more")
+            make_table(options["file"], range(options["rows"]), options["workers"])
+        else:
+            _show_beam(sorted(options.pop("planes")), options.pop("seed"), Settings(**options))
+    except (OSError, ValueError) as error:
+        sys.exit(f"{parser.prog}: {error}")
+
+
+def _show_beam(planes: list[float], seed: int, settings: Settings) -> None:
+    for plane, moments in zip(planes, Injector(settings).track(planes, seed=seed), strict=True):
         print(f"{plane:g} m: " + ", ".join(f"{k} {v:.5g}" for k, v in asdict(moments).items()))
 
 

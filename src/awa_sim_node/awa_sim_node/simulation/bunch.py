@@ -94,7 +94,12 @@ def emit(laser: Laser, charge: float, particles: int, seed: int) -> Bunch:
         charge: Magnitude of the bunch's charge [C].
         particles: Their number.
         seed: Seed of the scrambling.
+
+    Raises:
+        ValueError: If the seed is negative.
     """
+    if seed < 0:
+        raise ValueError(f"seed is {seed}, and must be 0 or more")
     pairs = -(-particles // 2)
     sequence = qmc.Sobol(6, scramble=True, rng=seed)
     # Sobol points come in powers of two; the first of them fill the space as well.

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -41,6 +42,9 @@ class Settings:
         G2: Linac gradient [MV/m]; 0 for no linac.
         charge: Bunch charge [nC]; 0 for no space charge.
         coupler_kick: Integrated quadrupole gradient of the linac's coupler [mT].
+
+    Raises:
+        ValueError: If one is not finite, or a charge or gradient is negative.
     """
 
     K1: float
@@ -51,6 +55,17 @@ class Settings:
     G2: float
     charge: float = 40.0
     coupler_kick: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what no machine can be set to."""
+        for name, value in asdict(self).items():
+            if not math.isfinite(value):
+                raise ValueError(f"{name} is {value:g}, and must be a finite number")
+        for name in ("G2", "charge"):
+            if getattr(self, name) < 0.0:
+                raise ValueError(f"{name} is {getattr(self, name):g}, and must be 0 or more")
+        if self.G1 <= 0.0:
+            raise ValueError(f"G1 is {self.G1:g}, and must be more than 0")
 
 
 @dataclass(frozen=True)
@@ -67,6 +82,9 @@ class Resolution:
             since the laser; never less than a step.
         longest_refresh: Its upper bound [s].
         image_until: The image in the cathode counts until the bunch is there [m].
+
+    Raises:
+        ValueError: If there are too few nodes or particles to make a field.
     """
 
     mesh: tuple[int, int, int] = (24, 24, 48)
@@ -78,6 +96,16 @@ class Resolution:
     longest_refresh: float = 60e-12
     image_until: float = 0.02
 
+    def __post_init__(self) -> None:
+        """Refuse what is too coarse to compute with."""
+        if min(self.mesh) < _FEWEST_NODES:
+            raise ValueError(f"mesh is {self.mesh}, and must be {_FEWEST_NODES} or more each way")
+        if self.particles <= _FEWEST:
+            raise ValueError(f"particles is {self.particles}, and must be more than {_FEWEST}")
+
+
+_FEWEST_NODES: Final = 5
+"""One cell is left on each side of the bunch, and half a one for its shift."""
 
 _FEWEST: Final = 20
 """Particles that make a field worth computing."""
@@ -118,7 +146,14 @@ class Injector:
             seed: Seed of the bunch.
             observer: Called on the way.
             solver: One of the same mesh to use again.
+
+        Returns:
+            The moments at each plane; NaN with a transmission of 0 where the whole bunch was lost.
+
+        Raises:
+            ValueError: If the planes do not rise, or one is reached while the laser still shines.
         """
+        _check_planes(planes)
         resolution = resolution or Resolution()
         solver = solver or SpaceCharge(resolution.mesh)
         space_charge = self.settings.charge > 0.0
@@ -141,6 +176,11 @@ class Injector:
             velocity = SPEED_OF_LIGHT * momentum / math.sqrt(1.0 + momentum**2)
             arrival = (planes[len(passed)] - position) / velocity if velocity > 0.0 else math.inf
             arrived = time > pulse and arrival <= dt
+            if arrived and arrival < 0.0:
+                raise ValueError(
+                    f"the plane at {planes[len(passed)]:g} m is too near the cathode: "
+                    f"the bunch has just left the laser, and is at {position:.3g} m"
+                )
             dt = arrival if arrived else dt
             middle = time + 0.5 * dt
             moved = field._replace(z=field.z + _advance(field.momentum, force, middle - field_time))
@@ -160,6 +200,16 @@ class Injector:
             if arrived or (count == 0 and time > pulse):
                 passed.append(moments(bunch))
         return passed
+
+
+def _check_planes(planes: Sequence[float]) -> None:
+    """Refuse positions that the bunch cannot pass one after the other."""
+    for first, second in pairwise([0.0, *planes]):
+        if not first < second < math.inf:
+            raise ValueError(
+                f"planes are {', '.join(f'{plane:g}' for plane in planes)} m, and must be finite "
+                "and rise from the cathode at 0 m"
+            )
 
 
 def _steps(resolution: Resolution, time: float, pulse: float) -> tuple[float, float]:

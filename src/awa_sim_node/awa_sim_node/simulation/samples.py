@@ -22,6 +22,7 @@ CORNER: Final = {"K2": (250.0, 285.0), "G1": (59.25, 66.0)}
 _DIGITS: Final = 6  # significant digits of the settings, so that a table holds them exactly
 _LARGEST: Final = 2**13
 _SPACE, _IN_TEN = 7, 10  # of ten rows, seven fill the space
+_COUNT: Final = _IN_TEN * (_LARGEST // _SPACE) + _LARGEST % _SPACE
 
 
 @dataclass(frozen=True)
@@ -45,13 +46,13 @@ def sample(number: int) -> Sample:
     Raises:
         ValueError: If there is no such point.
     """
+    if not 0 <= number < _COUNT:
+        raise ValueError(f"there is no sample {number}, only those from 0 to {_COUNT - 1}")
     tens, rest = divmod(number, _IN_TEN)
     if rest < _SPACE:
         region, index = "space", _SPACE * tens + rest
     else:
         region, index = "corner", (_IN_TEN - _SPACE) * tens + rest - _SPACE
-    if not 0 <= index < _LARGEST or number < 0:
-        raise ValueError(f"sample {number} must be 0 or more, and below {_LARGEST}")
     low, high = np.array([quantity.training_range for quantity in INPUTS]).T
     if region == "corner":
         for j, quantity in enumerate(INPUTS):

@@ -92,10 +92,18 @@ def make_table(
         workers: Processes.
         resolution: How finely; by default that of the data set.
         say: Gets a line now and then.
+
+    Raises:
+        ValueError: If there is no such sample, the number of workers makes no sense, or the table
+            is another one or of another version.
     """
+    if workers < 1:
+        raise ValueError(f"workers is {workers}, and must be 1 or more")
     rows = read_rows(path)
-    write_rows(path, rows)  # without what was cut off
     missing = [number for number in numbers if number not in rows]
+    for number in missing:
+        sample(number)  # refuses what does not exist before anything is written
+    write_rows(path, rows)  # without what was cut off
     say(f"{len(rows)} rows are there, {len(missing)} are missing")
     tasks = [(number, resolution or Resolution()) for number in missing]
     with path.open("a") as file:
