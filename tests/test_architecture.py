@@ -8,9 +8,11 @@ import sys
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
+import awa_sim_node
 import mobo_tuner
 
 PACKAGE = Path(mobo_tuner.__file__).parent
+SIMULATOR = Path(awa_sim_node.__file__).parent
 ROS_PACKAGES = ("rclpy", "rcl_interfaces", "mobo_msgs_py", "std_msgs", "builtin_interfaces")
 # From the bottom to the top: each imports itself and those before it.
 LAYERS = ("core", "bridge", "ros", "runs", "tuning", "nodes")
@@ -92,3 +94,50 @@ def test_modules_import_each_other_in_one_direction() -> None:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         raise AssertionError("a circle of imports: " + " -> ".join(error.args[1])) from None
+
+
+def test_the_simulated_machine_works_without_the_simulation_and_what_that_needs() -> None:
+    program = """
+import sys
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.startswith(("awa_sim_node.simulation", "scipy", "numba")):
+            raise ModuleNotFoundError(name + " must not be imported")
+sys.meta_path.insert(0, Absent())
+import awa_sim_node.node
+from awa_sim_node.surrogate import Surrogate
+from awa_sim_node.surrogate.metadata import INPUTS
+middle = {q.name: sum(q.training_range) / 2.0 for q in INPUTS}
+assert Surrogate.load().predict(middle)["energy"] > 10.0
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_simulation_needs_neither_ros_nor_torch() -> None:
+    program = f"""
+import sys
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {(*ROS_PACKAGES, "torch", "mobo_tuner")!r}:
+            raise ModuleNotFoundError(name + " must not be imported")
+sys.meta_path.insert(0, Absent())
+from awa_sim_node.simulation import injector, table
+settings = injector.Settings(475.0, 230.0, -5.0, -5.0, 67.5, 0.0, charge=0.0)
+(beam,) = injector.Injector(settings).track([0.5], injector.Resolution(particles=50))
+assert 6.9 < beam.energy < 7.3, beam
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_only_training_may_import_the_simulation() -> None:
+    for path in SIMULATOR.rglob("*.py"):
+        name = path.relative_to(SIMULATOR)
+        if name.parts[0] != "simulation" and name != Path("surrogate", "train.py"):
+            found = {module for module in imports(path) if "simulation" in module.split(".")}
+            assert not found, f"{path} imports {found}"

@@ -23,6 +23,8 @@ setup(
     python_requires=">=3.11",
     # rclpy and the message packages come with ROS, or from requirements.txt.
     install_requires=["mobo_tuner", "numpy", "torch"],
+    # The node needs neither: they make the data set that the surrogate learns from.
+    extras_require={"simulation": ["numba", "scipy"]},
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
         NAME: ["py.typed"],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -33,8 +33,7 @@ def mean_inverse_distance(centre: tuple[float, ...], sides: tuple[float, ...]) -
 
     points = np.linspace(0.0, 1.0, 9)
     pieces = [
-        quad(integrand, low, high, epsabs=1e-12, limit=200)[0]
-        for low, high in zip(points[:-1], points[1:], strict=True)
+        quad(integrand, low, high, epsabs=1e-12, limit=200)[0] for low, high in pairwise(points)
     ]
     return 2.0 / math.sqrt(math.pi) * sum(pieces) / math.prod(sides)
 

@@ -242,10 +242,17 @@ def test_the_field_ahead_is_that_of_the_bunch_there() -> None:
     points = np.random.default_rng(4).normal(size=(2000, 3)) * 1e-3 + [0, 0, 0.2]
     now = bunch_of(points, 2.0)
     ahead = 3e-12
-    there = bunch_of(points + [0, 0, SPEED_OF_LIGHT * ahead * 2.0 / math.hypot(1.0, 2.0)], 2.0)
+    there = bunch_of(points, 2.0)
+    there.phase_space[:, 2] += SPEED_OF_LIGHT * ahead * 2.0 / math.hypot(1.0, 2.0)
     solver = SpaceCharge((12, 12, 16))
     first = solver.field(now, 0.0, ahead, 0.0, False)
     moved, values = first.z, first.values.copy()
     second = solver.field(there, 0.0, 0.0, 0.0, False)
     assert moved == pytest.approx(second.z, rel=1e-12)
     np.testing.assert_allclose(values, second.values, atol=1e-5 * np.abs(values).max())
+
+
+def test_no_particles_have_no_field() -> None:
+    bunch = bunch_of(np.zeros((3, 3)), 1.0)
+    bunch.state[:] = LOST
+    assert np.all(field_of(bunch, (8, 8, 8), image=True).values == 0.0)

@@ -86,9 +86,13 @@ class SpaceCharge:
             image: Whether to add the field of the image in the cathode.
 
         Returns:
-            The field at ``time + ahead``. The same arrays are filled the next time.
+            The field at ``time + ahead``, none where no particle is left. The same arrays are
+            filled the next time.
         """
         points, low, high, momentum = predicted(bunch, time, ahead, force)
+        if len(points) == 0:
+            self._values[:] = 0.0
+            return BunchField(self._values, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0)
         gamma = math.sqrt(1.0 + momentum**2)
         beta = momentum / gamma
         dx, dy, dz_rest, ratios = self._cells(low, high, gamma)
