@@ -15,6 +15,9 @@ from awa_sim_node.check_config import check
 from mobo_tuner.core.parameter_file import ProblemError, load_yaml
 
 CONFIG = Path(__file__).parents[2] / "config"
+SHIPPED = sorted(
+    {path.name for path in CONFIG.glob("*.yaml")} - {p.name for p in CONFIG.glob("bridge_*")}
+)
 
 
 @pytest.fixture
@@ -22,7 +25,7 @@ def config() -> dict[str, Any]:
     return copy.deepcopy(load_yaml(CONFIG / "awa.yaml"))
 
 
-@pytest.mark.parametrize("name", [path.name for path in sorted(CONFIG.glob("*.yaml"))])
+@pytest.mark.parametrize("name", SHIPPED)
 def test_every_shipped_configuration_is_good(name: str) -> None:
     assert check(str(CONFIG / name)).objectives
 
