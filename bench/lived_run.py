@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.runs.history import told_outputs
+from mobo_tuner.runs.history import SETPOINT, told_outputs, told_readbacks
 from mobo_tuner.runs.records import evaluation_record
 from mobo_tuner.runs.run_log import RunLog
 
@@ -48,6 +48,7 @@ class LivedRun:
         seed: of what happens.
         log: where it is kept; None for a run that begins.
         events: whether evaluations fail, operators give set-points and the problem changes.
+        model_input: what the models learn from; the readbacks are a bit off the set-points.
     """
 
     def __init__(
@@ -58,17 +59,20 @@ class LivedRun:
         seed: int,
         log: RunLog | None = None,
         events: bool = True,
+        model_input: str = SETPOINT,
     ) -> None:
         self.optimizer = optimizer
         self._machine = machine
         self._seed = seed
         self._events = events
+        self._model_input = model_input
         settings = {
             "preset": "default",
             "seed": optimizer.seed,
             "initial_evaluations": optimizer.settings.initial_evaluations,
             "budget": 1000,
             "proximal": False,
+            "model_input": model_input,
         }
         header = {"run_id": run_dir.name, "stamp": 0.0, "settings": settings}
         self.log = log or RunLog(run_dir, {**header, "problem": optimizer.problem.to_dict()})
@@ -94,14 +98,16 @@ class LivedRun:
         measured = {} if failed else dict(self._machine(setpoint))
         diagnostics = {name: (value, math.nan) for name, value in measured.items()}
         outputs = told_outputs(self.optimizer.problem, diagnostics, int(failed))
-        evaluation = self.optimizer.tell(setpoint, outputs)
+        readbacks = {name: value + 0.01 for name, value in setpoint.items()}
+        told = told_readbacks(self.optimizer.problem, readbacks, self._model_input)
+        evaluation = self.optimizer.tell(setpoint, outputs, told)
         message = SimpleNamespace(
             index=index,
             source=("initial", "model", "operator").index(source),
             attempts=1,
             stamp=SimpleNamespace(sec=1_700_000_000 + index, nanosec=5),
             setpoint=_named(setpoint),
-            readbacks=_named(setpoint),
+            readbacks=_named(readbacks),
             diagnostics=_named(evaluation.values, evaluation.stddevs),
             valid=evaluation.valid,
             feasible=evaluation.feasible,

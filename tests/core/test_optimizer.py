@@ -114,6 +114,27 @@ def test_setpoints_that_were_never_asked_for_are_learned() -> None:
     assert abs(x["x1"] - x["x2"]) < 0.5  # on the line where the front is
 
 
+def test_where_readbacks_are_told_the_models_learn_from_them(tmp_path: Path) -> None:
+    problem = Problem.from_dict(TOY)
+    sent, there = (Optimizer(problem, seed=2, initial_evaluations=4) for _ in range(2))
+    for _ in range(6):
+        x = sent.ask()
+        assert x == there.ask()
+        where = {"x1": x["x1"] + 0.3, "x2": x["x2"]}  # what the supply really gives
+        sent.tell(x, toy(where), {"x1": where["x1"], "x2": math.nan})
+        there.tell(where, toy(where))
+    assert np.array_equal(sent.dataset.inputs, there.dataset.inputs)
+    assert sent.ask() == there.ask()
+    assert sent.dataset.evaluations[0].setpoint["x1"] != there.dataset.evaluations[0].setpoint["x1"]
+    front = {point["setpoint"]["x1"] + 0.3 for point in sent.pareto_front()}
+    assert front == {point["setpoint"]["x1"] for point in there.pareto_front()}
+    sent.save(tmp_path / "state.json")
+    for other in (Optimizer.load(tmp_path / "state.json"), sent.with_problem(problem)):
+        assert np.array_equal(other.dataset.inputs, there.dataset.inputs)
+    with pytest.raises(ProblemError, match="'x3'"):
+        sent.tell(x, {}, {"x3": 1.0})
+
+
 @pytest.mark.parametrize("told", [0, 3, 7, 12])
 def test_a_restored_optimizer_asks_what_the_original_would_have_asked(
     told: int, tmp_path: Path

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from rclpy.node import Node
@@ -12,10 +13,12 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from awa_sim_node.surrogate import Surrogate
-from machine_support import LOSSY, MIDDLE, Listener, Services, evaluation_goal, start_machine
+from machine_support import LOSSY, MIDDLE, Listener, evaluation_goal, start_machine
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
+from mobo_tuner.runs.history import History
+from mobo_tuner.runs.journal import read_journal
 from ros_support import NodeStarter
-from tuning_support import CONFIG, GoalClient, machine_client, tune_client
+from tuning_support import CONFIG, GoalClient, Services, machine_client, tune_client
 
 MAPPING = CONFIG / "bridge_awa.yaml"
 RESULT = EvaluateSetpoint.Result
@@ -86,7 +89,7 @@ def test_the_bridge_moves_and_measures_by_plain_topics(
     assert lost.error_code == RESULT.INTERLOCK
     assert lost.error_msg == "interlock beam_loss forbids to move"
     assert injector.evaluate(MIDDLE).error_code == RESULT.INTERLOCK
-    services = Services(node, spin_until)
+    services = Services(node, spin_until, of="injector/awa_sim")
     assert services.call(Trigger, "injector/clear_interlock").success
     injector.until_ready()
 
@@ -105,16 +108,19 @@ def test_the_bridge_moves_and_measures_by_plain_topics(
 
 
 def test_the_tuner_tunes_the_injector_through_the_bridge(
-    start_node: NodeStarter, node: Node, spin_until: Spin
+    start_node: NodeStarter, node: Node, spin_until: Spin, tmp_path: Path
 ) -> None:
     Injector(start_node, node, spin_until, mode="nominal", trip_rate=0.0).until_ready()
-    config = str(CONFIG / "awa.yaml")
-    start_node("-m", "mobo_tuner.nodes.tuner", "--ros-args", "--params-file", config)
+    options = ["--params-file", str(CONFIG / "awa.yaml")]
+    for parameter in (f"runs_dir:={tmp_path}", "model_input:=readback"):
+        options += ["-p", f"tuner:{parameter}"]
+    start_node("-m", "mobo_tuner.nodes.tuner", "--ros-args", *options)
     client = tune_client(node, spin_until)
-    client.send(Tune.Goal(evaluations=3))
+    client.send(Tune.Goal(run_id="bridged", evaluations=3))
     result = client.wait(60.0)
     assert (result.stop_reason, result.evaluations) == ("budget", 3)
-    for feedback in client.feedback:
+    history = History.from_records(read_journal(tmp_path / "bridged"))
+    for told, feedback in zip(history.evaluations, client.feedback, strict=True):
         evaluation = feedback.evaluation
         assert (evaluation.error_code, evaluation.error_msg) == (RESULT.NONE, "")
         assert len(evaluation.diagnostics) == 10
@@ -123,3 +129,4 @@ def test_the_tuner_tunes_the_injector_through_the_bridge(
         for name, tolerance in {"K1": 0.5, "phi1": 0.15, "G1": 0.1}.items():
             assert where[name] == pytest.approx(point[name], abs=tolerance)
             assert where[name] != point[name]
+        assert (told.setpoint, told.readbacks) == (point, where)

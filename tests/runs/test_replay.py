@@ -12,7 +12,7 @@ import pytest
 from bench.lived_run import LivedRun, toy, toy_optimizer
 from mobo_tuner.core import ProblemError
 from mobo_tuner.runs import replay
-from mobo_tuner.runs.history import History
+from mobo_tuner.runs.history import READBACK, History
 from mobo_tuner.runs.journal import FILE_NAME, JournalError, read_journal
 from mobo_tuner.runs.saved_state import FILE_NAME as STATE_NAME
 from mobo_tuner.runs.saved_state import SavedState
@@ -68,6 +68,21 @@ def test_a_restored_run_asks_what_it_would_have_asked(
     if saved is not None:
         assert saved.revive(history) is not None
         assert replay.restore(history, saved).ask() == asked[told]
+
+
+def test_a_run_that_learns_from_readbacks_is_restored_with_them(tmp_path: Path) -> None:
+    run = LivedRun(tmp_path / "run", toy_optimizer(SEED), toy, SEED, model_input=READBACK)
+    for _ in range(9):
+        run.step()
+    run.log.close()
+    history = history_of(tmp_path / "run")
+    saved = SavedState.read(tmp_path / "run")
+    assert saved is not None
+    assert saved.revive(history) is not None
+    for restored in (replay.restore(history), replay.restore(history, saved)):
+        assert restored.ask() == run.ask()
+        first = restored.dataset.evaluations[0]
+        assert first.readbacks == {n: v + 0.01 for n, v in first.setpoint.items()}
 
 
 @pytest.mark.parametrize("late", [1, 3, 8])

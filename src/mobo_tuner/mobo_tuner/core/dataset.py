@@ -19,15 +19,17 @@ class Evaluation:
     """One evaluation: where the machine was and what it measured.
 
     `values` and `stddevs` hold the diagnostics that were told, in their own units; NaN stands for
-    not measured and for an unknown uncertainty. An evaluation is `valid` when every objective and
-    every constrained diagnostic was measured, `feasible` when it is valid and meets every
-    constraint.
+    not measured and for an unknown uncertainty. `readbacks` hold where variables were by their own
+    instruments, as far as that was told; where it was, the models learn from it. An evaluation is
+    `valid` when every objective and every constrained diagnostic was measured, `feasible` when it is
+    valid and meets every constraint.
     """
 
     index: int
     setpoint: Mapping[str, float]
     values: Mapping[str, float]
     stddevs: Mapping[str, float]
+    readbacks: Mapping[str, float]
     valid: bool
     feasible: bool
 
@@ -49,7 +51,10 @@ class Dataset:
         return len(self.evaluations)
 
     def add(
-        self, setpoint: Mapping[str, float], outputs: Mapping[str, Measured | None]
+        self,
+        setpoint: Mapping[str, float],
+        outputs: Mapping[str, Measured | None],
+        readbacks: Mapping[str, float] = {},
     ) -> Evaluation:
         """Append one evaluation.
 
@@ -57,11 +62,15 @@ class Dataset:
             setpoint: every variable, in physical units.
             outputs: diagnostics by name; a pair is (mean, standard deviation); NaN, infinite, None
                 or missing means that it was not measured.
+            readbacks: of some variables, in physical units; one that is not finite is not known.
 
         Raises:
-            ProblemError: the set-point is not one of the problem's, or an output is not a number.
+            ProblemError: the set-point is not one of the problem's, a readback is of none of its
+                variables, or an output is not a number.
         """
-        x = self.problem.normalize(setpoint)
+        self.problem.normalize(setpoint)
+        known = {name: float(value) for name, value in readbacks.items() if math.isfinite(value)}
+        x = self.problem.normalize({**setpoint, **known})
         measured = {name: _mean_and_stddev(name, value) for name, value in outputs.items()}
         values = {name: mean for name, (mean, _) in measured.items()}
         valid = all(
@@ -72,6 +81,7 @@ class Dataset:
             setpoint={v.name: float(setpoint[v.name]) for v in self.problem.variables},
             values=values,
             stddevs={name: stddev for name, (_, stddev) in measured.items()},
+            readbacks=known,
             valid=valid,
             feasible=valid and self.problem.is_feasible(values),
         )
@@ -81,7 +91,7 @@ class Dataset:
 
     @property
     def inputs(self) -> Array:
-        """Normalised set-points of all evaluations, shape ``(n, d)``."""
+        """Where all evaluations were, normalised, shape ``(n, d)``: readbacks, or set-points."""
         return np.array(self._inputs).reshape(len(self), len(self.problem.variables))
 
     @property

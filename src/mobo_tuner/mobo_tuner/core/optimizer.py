@@ -123,7 +123,10 @@ class Optimizer:
         ]
 
     def tell(
-        self, setpoint: Mapping[str, float], outputs: Mapping[str, Measured | None]
+        self,
+        setpoint: Mapping[str, float],
+        outputs: Mapping[str, Measured | None],
+        readbacks: Mapping[str, float] = {},
     ) -> Evaluation:
         """Learn what was measured at a set-point, which need not have been asked for.
 
@@ -131,12 +134,14 @@ class Optimizer:
             setpoint: every variable, in physical units.
             outputs: diagnostics by name; a pair is (mean, standard deviation); NaN, None or missing
                 means that it was not measured, and the evaluation failed where it was needed.
+            readbacks: of some or all variables, in physical units: where the machine was while it
+                measured. The models learn from them in place of the set-point's values.
 
         Raises:
-            ProblemError: the set-point does not fit the problem or an output is no number; nothing
-                is learned.
+            ProblemError: the set-point or a readback does not fit the problem, or an output is no
+                number; nothing is learned.
         """
-        evaluation = self.dataset.add(setpoint, outputs)
+        evaluation = self.dataset.add(setpoint, outputs, readbacks)
         if evaluation.feasible:
             # A sum of what was gained never falls, unlike a volume computed anew, by its last digit.
             self._hypervolume += self._boxes.add(self.dataset.objectives[-1])
@@ -248,7 +253,7 @@ class Optimizer:
     def _tell_all_to(self, other: Optimizer) -> None:
         for evaluation in self.dataset.evaluations:
             outputs = {n: (v, evaluation.stddevs[n]) for n, v in evaluation.values.items()}
-            other.tell(evaluation.setpoint, outputs)
+            other.tell(evaluation.setpoint, outputs, evaluation.readbacks)
 
     # ------------------------------------------------------------------ state
 
@@ -272,6 +277,7 @@ class Optimizer:
                 {
                     "setpoint": dict(e.setpoint),
                     "outputs": {n: [v, e.stddevs[n]] for n, v in e.values.items()},
+                    "readbacks": dict(e.readbacks),
                 }
                 for e in self.dataset.evaluations
             ]
@@ -303,7 +309,7 @@ class Optimizer:
             )
             for evaluation in state["evaluations"]:
                 outputs = {n: (pair[0], pair[1]) for n, pair in evaluation["outputs"].items()}
-                restored.tell(evaluation["setpoint"], outputs)
+                restored.tell(evaluation["setpoint"], outputs, evaluation.get("readbacks", {}))
             restored._hypervolume = float(state["hypervolume"])
             restored._models.set_state(state["models"], restored.dataset)
         except KeyError as error:

@@ -108,6 +108,12 @@ TUNER = (
         "whether steps from one set-point to the next are kept short, weighed by the variables' cost",
     ),
     ParameterSpec(
+        "model_input",
+        "setpoint",
+        "what the models learn from: where the machine was sent, or where its readbacks said it was",
+        choices=("setpoint", "readback"),
+    ),
+    ParameterSpec(
         "shots",
         0,
         "shots to average over per evaluation; 0 = as many as the machine thinks fit",

@@ -15,17 +15,22 @@ from mobo_tuner.core.problem import Problem, ProblemError
 from mobo_tuner.runs.journal import JournalError, Record
 
 SOURCES = ("initial", "model", "operator")
+SETPOINT, READBACK = "setpoint", "readback"  # what the models of a tuner learn from
 _FIGURES = ("stamp", "hypervolume", "suggest_seconds", "machine_seconds", "total_seconds")
 
 
 @dataclass(frozen=True)
 class Told:
-    """An evaluation: where it was, where that came from, and what the optimiser was told of it."""
+    """An evaluation: where it was, where that came from, and what the optimiser was told of it.
+
+    `readbacks` are empty where the optimiser was not told of them.
+    """
 
     index: int
     source: str
     setpoint: Mapping[str, float]
     outputs: Mapping[str, Measured | None]
+    readbacks: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,12 @@ class History:
         settings = start.get("settings")
         if not isinstance(settings, dict) or not isinstance(start.get("run_id"), str):
             raise JournalError("the start record of the journal lacks run_id or settings")
-        history = _Builder(problem)
+        settings.setdefault("model_input", SETPOINT)  # journals before there was a choice lack it
+        if settings["model_input"] not in (SETPOINT, READBACK):
+            raise JournalError(
+                f"model_input is {settings['model_input']!r:.40} in the start record of the journal"
+            )
+        history = _Builder(problem, settings["model_input"])
         kept = []
         for number, record in enumerate(records[1:], start=2):
             where = f"record {number}, {record['type']!r:.20},"
@@ -118,13 +128,23 @@ def told_outputs(
     return {name: pair for name, pair in diagnostics.items() if name not in hidden}
 
 
+def told_readbacks(
+    problem: Problem, readbacks: Mapping[str, float], model_input: str
+) -> dict[str, float]:
+    """What the readbacks of an evaluation teach: nothing where the models learn from set-points."""
+    if model_input == SETPOINT:
+        return {}
+    return {name: readbacks[name] for name in problem.variable_names if name in readbacks}
+
+
 class _Builder:
     """Puts steps together and checks that each follows from those before."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, model_input: str) -> None:
         self.steps: list[Told | Changed] = []
         self.waiting: list[Mapping[str, float]] = []
         self._problem = problem
+        self._model_input = model_input
         self._count = 0
 
     def add(self, record: Record) -> bool:
@@ -157,8 +177,7 @@ class _Builder:
                 raise ValueError(f"{name} is {record[name]!r:.40}")
         for name in _FIGURES:
             _known(record[name])
-        for value in _mapping(record["readbacks"]).values():
-            _known(value)
+        readbacks = {name: _known(v) for name, v in _mapping(record["readbacks"]).items()}
         if not isinstance(record["error_msg"], str):
             raise ValueError(f"error_msg is {record['error_msg']!r:.40}")
         record.setdefault("attempts", 1)  # journals before it was counted lack it
@@ -167,7 +186,8 @@ class _Builder:
         if record["source"] == "operator" and setpoint in self.waiting:
             # Those before it in the queue were dropped.
             del self.waiting[: self.waiting.index(setpoint) + 1]
-        self.steps.append(Told(self._count, record["source"], setpoint, outputs))
+        told = told_readbacks(self._problem, readbacks, self._model_input)
+        self.steps.append(Told(self._count, record["source"], setpoint, outputs, told))
         self._count += 1
 
     def _add_change(self, record: Record) -> None:

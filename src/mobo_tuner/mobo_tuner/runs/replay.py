@@ -19,7 +19,8 @@ from mobo_tuner.runs.journal import JournalError, Record, read_journal
 from mobo_tuner.runs.rebuild import BagError, records_of_bag
 from mobo_tuner.runs.saved_state import SavedState
 
-OPTIMIZER_SETTINGS = ("preset", "seed", "initial_evaluations", "proximal")  # of a tuner
+OPTIMIZER_SETTINGS = ("preset", "seed", "initial_evaluations", "proximal", "model_input")
+"""Of a tuner."""
 
 
 def make_optimizer(problem: Problem, settings: Mapping[str, Any]) -> Optimizer:
@@ -69,7 +70,7 @@ def restore(history: History, saved: SavedState | None = None) -> Optimizer:
 def take_step(optimizer: Optimizer, step: Told | Changed) -> Optimizer:
     """The optimiser after one more step of a history."""
     if isinstance(step, Told):
-        optimizer.tell(step.setpoint, step.outputs)
+        optimizer.tell(step.setpoint, step.outputs, step.readbacks)
     elif step.problem != optimizer.problem:
         return optimizer.with_problem(step.problem)
     return optimizer

@@ -83,7 +83,7 @@ class SavedState:
         steps = history.steps[:position]
         problems = [history.problem, *(s.problem for s in steps if isinstance(s, Changed))]
         evaluations = [
-            {"setpoint": step.setpoint, "outputs": step.outputs}
+            {"setpoint": step.setpoint, "outputs": step.outputs, "readbacks": step.readbacks}
             for step in steps
             if isinstance(step, Told)
         ]

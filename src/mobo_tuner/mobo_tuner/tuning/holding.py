@@ -82,7 +82,9 @@ class Holding:
         made = focused.dataset.evaluations[before:]
         for evaluation in () if run.by_client else made:
             outputs = {n: (v, evaluation.stddevs[n]) for n, v in evaluation.values.items()}
-            await self._parts.worker.submit(run.optimizer.tell, evaluation.setpoint, outputs)
+            await self._parts.worker.submit(
+                run.optimizer.tell, evaluation.setpoint, outputs, evaluation.readbacks
+            )
         if ending.error_code:
             raise RunError(ending.error_code, ending.error_msg)
         return _best(run, made, weights) or point

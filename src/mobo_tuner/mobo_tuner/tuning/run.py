@@ -24,7 +24,7 @@ from mobo_tuner.ros.conversions import (
     problem_units,
 )
 from mobo_tuner.ros.machine_client import Answer
-from mobo_tuner.runs.history import told_outputs
+from mobo_tuner.runs.history import SETPOINT, told_outputs, told_readbacks
 from mobo_tuner.runs.records import evaluation_record
 from mobo_tuner.runs.run_log import RunLog
 from mobo_tuner.tuning.steering import Change, Steering
@@ -72,6 +72,7 @@ class Run:
         goal_id: of the Tune goal.
         interrupt: done when the run shall stop; its result says why.
         journal: where it is kept.
+        model_input: what the models learn from, SETPOINT or READBACK.
         earlier: evaluations of an earlier run, with which this one begins.
         steering: what operators asked for.
         machine: what it says of itself; None before it was met.
@@ -90,6 +91,7 @@ class Run:
     goal_id: bytes
     interrupt: Future
     journal: RunLog
+    model_input: str = SETPOINT
     earlier: Sequence[msg.Evaluation] = ()
     steering: Steering = field(default_factory=Steering)
     machine: DescribeMachine.Response | None = None
@@ -172,7 +174,8 @@ class Run:
         """Tell the optimiser and the journal what a suggestion led to, a failed evaluation too."""
         answer = outcome.answer
         outputs = told_outputs(self.problem, answer.diagnostics, answer.error_code)
-        evaluation = self.optimizer.tell(suggested.setpoint, outputs)
+        readbacks = told_readbacks(self.problem, answer.readbacks, self.model_input)
+        evaluation = self.optimizer.tell(suggested.setpoint, outputs, readbacks)
         message = evaluation_message(self.problem, evaluation, self.run_id, answer.stamp)
         message.source = SOURCES[suggested.source]
         message.attempts = outcome.attempts

@@ -88,6 +88,7 @@ def start_run(
             goal_id=goal_id,
             interrupt=interrupt,
             journal=RunLog(run_dir, header),
+            model_input=settings["model_input"],
         )
     history, optimizer = earlier
     told = len(history.evaluations)
@@ -124,6 +125,7 @@ def start_run(
         goal_id=goal_id,
         interrupt=interrupt,
         journal=RunLog(run_dir, header, records),
+        model_input=settings["model_input"],
         earlier=earlier_evaluations(history, run_id),
     )
     run.steering.queue.extend(dict(setpoint) for setpoint in history.waiting)
@@ -172,6 +174,7 @@ def start_holding(
         interrupt=interrupt,
         changeable=False,
         journal=RunLog(_run_dir(run_id, parameters), header),
+        model_input=run.model_input,
     )
     held.steering.queue.append(dict(point))
     return held
