@@ -67,7 +67,9 @@ def main() -> None:
         asked = loop.call(loop.ask, Ask.Request())
         values = measure({item.name: item.value for item in asked.setpoint})
         diagnostics = [NamedValue(name=n, value=v, stddev=math.nan) for n, v in values.items()]
-        told = loop.call(loop.tell, Tell.Request(setpoint=asked.setpoint, diagnostics=diagnostics))
+        answer = Tell.Request(run_id=asked.run_id, index=asked.index)
+        answer.setpoint, answer.diagnostics = asked.setpoint, diagnostics
+        told = loop.call(loop.tell, answer)
         print(f"{told.evaluation.index}: hypervolume {told.evaluation.hypervolume:.5g}")
     front = loop.call(loop.working_points, ListWorkingPoints.Request()).measured
     for point in front.points:

@@ -9,6 +9,7 @@ It needs nothing of this project but the interface package, and the run's ROS do
     python examples/steer.py points --predict   # the front, as measured and as the models predict it
     python examples/steer.py go 17 --hold 20    # to a point of the front, and hold it
     python examples/steer.py best eps_x=1 dE=100
+    python examples/steer.py go 17 --run 20261124-101500-awa    # of an earlier run
 
 It exits with 0 where the tuner agreed, and otherwise with 1 and its reason.
 """
@@ -106,20 +107,22 @@ class Panel(Node):
         request = QueueSetpoint.Request(setpoint=named(setpoint))
         answer = self.call(self.queuer, request)
         self.agreed(answer)
-        return f"{answer.waiting} set-points in the queue"
+        return f"in the queue: {answer.waiting}"
 
     def set(self, values: dict[str, Any]) -> str:
         """Set parameters: all of them or none."""
         parameters = [Parameter(n, value=v).to_parameter_msg() for n, v in values.items()]
         request = SetParametersAtomically.Request(parameters=parameters)
         result = self.call(self.setter, request).result
+        if "undeclared" in result.reason:
+            sys.exit(f"refused: the tuner does not know all of {', '.join(values)}")
         if not result.successful:
             sys.exit(f"refused: {result.reason}")
         return f"set: {', '.join(values)}; it holds from the next evaluation on"
 
-    def points(self, predict: bool) -> str:
+    def points(self, run_id: str, predict: bool) -> str:
         """The working points there are."""
-        request = ListWorkingPoints.Request(predict=predict)
+        request = ListWorkingPoints.Request(run_id=run_id, predict=predict)
         answer = self.call(self.lister, request, PREDICTION_TIMEOUT)
         self.agreed(answer)
         text = table(answer.measured, "measured")
@@ -140,7 +143,8 @@ class Panel(Node):
         if result.error_code != GoToWorkingPoint.Result.NONE:
             sys.exit(f"refused: {result.error_msg}")
         where = ", ".join(f"{v.name} = {v.value:.6g} {v.unit}".rstrip() for v in result.readbacks)
-        return f"point {result.point.index}, {result.evaluations} evaluations to hold it: {where}"
+        held = f", held with {result.evaluations} evaluations" if goal.hold_evaluations else ""
+        return f"at point {result.point.index}{held}: {where}"
 
     def on_feedback(self, message: GoToWorkingPoint.Impl.FeedbackMessage) -> None:
         """Show how the machine is getting on."""
@@ -160,13 +164,14 @@ def named(values: dict[str, float]) -> list[NamedValue]:
 
 
 def table(front: ParetoFront, title: str) -> str:
-    """A front, one point a line."""
+    """A front, one point a line; a predicted one has no index, for nobody was there."""
     lines = [f"{len(front.points)} points, {title}; hypervolume {front.hypervolume:.6g}"]
+    rows = [["index", *(f"{o.name} {o.unit}".strip() for o in front.reference_point)]]
     for point in front.points:
-        objectives = "  ".join(
-            f"{o.name} {o.value:.4g} {o.unit}".rstrip() for o in point.objectives
-        )
-        lines.append(f"{point.index:6}  {objectives}")
+        index = str(point.index) if title == "measured" else "-"
+        rows.append([index, *(f"{o.value:.4g}" for o in point.objectives)])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines += ["  ".join(map(str.rjust, row, widths)) for row in rows]
     return "\n".join(lines)
 
 
@@ -204,13 +209,15 @@ def arguments() -> argparse.Namespace:
         verbs.add_parser(name)
     verbs.add_parser("set").add_argument("values", nargs="+", type=pair, metavar="NAME=VALUE")
     verbs.add_parser("queue").add_argument("values", nargs="+", type=number, metavar="NAME=NUMBER")
-    verbs.add_parser("points").add_argument("--predict", action="store_true")
-    go, best = verbs.add_parser("go"), verbs.add_parser("best")
+    points, go, best = (verbs.add_parser(name) for name in ("points", "go", "best"))
+    points.add_argument("--predict", action="store_true")
     go.add_argument("index", type=count)
     best.add_argument("values", nargs="+", type=number, metavar="OBJECTIVE=WEIGHT")
     for verb in (go, best):
         verb.add_argument("--hold", type=count, default=0, metavar="EVALUATIONS")
         verb.add_argument("--radius", type=float, default=0.0)
+    for verb in (points, go, best):
+        verb.add_argument("--run", default="", metavar="ID")
     return parser.parse_args()
 
 
@@ -237,8 +244,9 @@ def answer(panel: Panel, options: argparse.Namespace) -> str:
     if options.verb == "queue":
         return panel.queue(dict(options.values))
     if options.verb == "points":
-        return panel.points(options.predict)
-    goal = GoToWorkingPoint.Goal(hold_evaluations=options.hold, radius=options.radius)
+        return panel.points(options.run, options.predict)
+    goal = GoToWorkingPoint.Goal(run_id=options.run, radius=options.radius)
+    goal.hold_evaluations = options.hold
     if options.verb == "go":
         goal.choice, goal.index = goal.BY_INDEX, options.index
     else:

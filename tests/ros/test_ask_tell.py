@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rclpy.node import Node
@@ -39,6 +40,7 @@ class Loop:
         self,
         setpoint: list[msg.NamedValue] | dict[str, float],
         diagnostics: dict[str, float] | list[msg.NamedValue] | None = None,
+        **identity: Any,
     ) -> Tell.Response:
         """Tell of a set-point what the toy problem gives there, or something else."""
         if isinstance(setpoint, dict):
@@ -49,7 +51,7 @@ class Loop:
             diagnostics = [
                 msg.NamedValue(name=n, value=v, stddev=math.nan) for n, v in diagnostics.items()
             ]
-        request = Tell.Request(setpoint=setpoint, diagnostics=diagnostics)
+        request = Tell.Request(setpoint=setpoint, diagnostics=diagnostics, **identity)
         return self._services.call(Tell, "tell", request)
 
 
@@ -73,7 +75,7 @@ def test_a_loop_of_ones_own_gets_what_the_library_would_ask(
     for index in range(8):
         asked = loop.ask()
         assert asked.success, asked.message
-        assert asked.evaluations == index
+        assert asked.index == index
         assert asked.source == (msg.Evaluation.INITIAL if index < 4 else msg.Evaluation.MODEL)
         x = {item.name: item.value for item in asked.setpoint}
         assert x == oracle.ask()
@@ -118,7 +120,33 @@ def test_what_is_told_wrong_teaches_nothing(
         told = loop.tell(setpoint, diagnostics)
         assert not told.success
         assert sentence in told.message
-    assert loop.ask().evaluations == 0
+    assert loop.ask().index == 0
+
+
+def test_answers_that_are_late_double_or_foreign_are_dropped_with_a_warning(
+    start_tuner: Callable[..., NodeProcess], loop: Loop, tmp_path: Path
+) -> None:
+    tuner = start_tuner("initial_evaluations:=4")
+    x = {"x1": 0.0, "x2": 0.0}
+    stray = "run 'another' is not the one that is asked and told of now"
+    assert loop.tell(x, run_id="another").message == stray
+    asked = loop.ask()
+    identity = {"run_id": asked.run_id, "index": asked.index}
+    assert loop.tell(x, run_id="another").message == stray
+    early = loop.tell(asked.setpoint, run_id=asked.run_id, index=3)
+    assert early.message == f"evaluation 3 of run '{asked.run_id}' was not asked for yet"
+    told = loop.tell(asked.setpoint, **identity)
+    assert (told.success, told.evaluation.index) == (True, 0)
+    for _ in range(2):
+        double = loop.tell(asked.setpoint, **identity)
+        assert not double.success
+        assert double.message == f"evaluation 0 of run '{asked.run_id}' was told already"
+    assert loop.tell(x).evaluation.index == 1  # no answer, but a set-point of one's own
+    late = loop.tell(asked.setpoint, run_id=asked.run_id, index=1)
+    assert late.message == f"evaluation 1 of run '{asked.run_id}' was told already"
+    for response in (early, double, late):
+        assert f"an answer is dropped: {response.message}" in tuner.stderr
+    assert [r["type"] for r in journal(tmp_path, asked.run_id)] == ["start", *["evaluation"] * 2]
 
 
 def test_runs_and_loops_do_not_mix_and_changes_reach_both(
@@ -150,7 +178,7 @@ def test_runs_and_loops_do_not_mix_and_changes_reach_both(
     assert client.wait().evaluations == 3
 
     again = loop.ask()  # of a fresh run
-    assert again.evaluations == 0
+    assert again.index == 0
     second = loop.tell(again.setpoint).evaluation.run_id
     assert len({first, second, "between"}) == 3
     spin_until(lambda: len(evaluations.messages) == 6, "all evaluations")

@@ -59,22 +59,25 @@ def test_a_client_is_interrupted_and_a_run_is_steered_from_the_shell(
     client = start_node("-u", str(ROOT / "examples" / "tune_client.py"), "1000")
     wait_until(lambda: len(client.stdout.splitlines()) >= 6, "evaluations", 60.0)
     assert steer("pause").stdout.startswith("the run pauses before evaluation ")
-    assert "set-points in the queue" in steer("queue", "x1=0.5", "x2=-1e-1").stdout
+    assert "in the queue: 1" in steer("queue", "x1=0.5", "x2=-1e-1").stdout
     changed = steer("set", "variables.x1.max=1.5", "evaluations=900")
     assert changed.stdout.startswith("set: variables.x1.max, evaluations; "), changed.stderr
     wrong = steer("set", "variables.x1.max=-9")
     assert "refused: variables.x1.min is -2, which must be less than its max of -9" in wrong.stderr
+    unknown = steer("set", "variables.y.max=1")
+    assert unknown.stderr == "refused: the tuner does not know all of variables.y.max\n"
     assert steer("status").stdout.startswith("paused; run ")
     assert steer("step").stdout.startswith("one more evaluation")
     front = steer("points").stdout.splitlines()
     assert " points, measured; hypervolume " in front[0]
-    index = front[1].split()[0]
+    assert front[1].split() == ["index", "f1", "f2"]
+    index = front[2].split()[0]
     client.popen.send_signal(signal.SIGINT)
     assert client.wait(20.0) == 0
     assert "stopped by canceled the run was stopped: a client canceled it" in client.stdout
     held = steer("go", index, "--hold", "2")
-    assert held.stdout.startswith(f"point {index}, 2 evaluations to hold it: x1 = "), held.stderr
-    assert steer("best", "f1=1", "f2=2").popen.returncode == 0
+    assert held.stdout.startswith(f"at point {index}, held with 2 evaluations: x1 = "), held.stderr
+    assert steer("best", "f2=2").popen.returncode == 0
 
 
 @pytest.mark.parametrize(

@@ -55,9 +55,11 @@ def k1(named: Any) -> float:
 
 
 def position(mover: GoalClient) -> float:
-    """Where K1 is: a move to nowhere is refused, and says where the machine is."""
+    """Where K1 is: a goal without a set-point moves nothing, and says where the machine is."""
     mover.send(ApplySetpoint.Goal())
-    return k1(mover.wait().readbacks)
+    result = mover.wait()
+    assert result.error_code == RESULT.NONE
+    return k1(result.readbacks)
 
 
 class Heart:

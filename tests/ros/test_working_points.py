@@ -84,8 +84,8 @@ def test_the_front_is_listed_gone_to_and_held(
     tmp_path: Path,
 ) -> None:
     start_machine()
-    start_tuner("initial_evaluations:=6")
-    nothing = "nothing was measured yet: there is no front"
+    tuner = start_tuner("initial_evaluations:=6")
+    nothing = "nothing was measured yet: there is no front, unless run_id names an earlier run"
     assert listed(services, False).message == nothing
     mover.send(Goal(choice=Goal.BY_INDEX, index=0))
     refused = mover.wait()
@@ -140,6 +140,18 @@ def test_the_front_is_listed_gone_to_and_held(
     indices = {point.index for point in listed(services, False).measured.points}
     assert indices & {20, 21, 22, 23, 24}
 
+    # A tuner that knows nothing yet reads the run from its folder.
+    assert tuner.stop() == 0
+    start_tuner("initial_evaluations:=6")
+    request = ListWorkingPoints.Request(run_id="front")
+    read = services.call(ListWorkingPoints, "list_working_points", request, 60.0)
+    assert list(map(plain, read.measured.points)) == list(map(plain, front.points))
+    mover.send(Goal(run_id="front", choice=Goal.BY_WEIGHTS, weights=named({"f2": 1.0})))
+    least = min(front.points, key=lambda point: values(point.objectives)["f2"])
+    assert plain(mover.wait().point) == plain(least)
+    assert position(node, spin_until) == pytest.approx(values(least.setpoint), abs=1e-9)
+    assert len(journal(tmp_path, "front")) == 22
+
 
 def test_goals_that_cannot_be_served_and_a_cancel_on_the_way(
     start_tuner: Callable[..., NodeProcess],
@@ -175,7 +187,10 @@ def test_goals_that_cannot_be_served_and_a_cancel_on_the_way(
         (Goal(choice=Goal.BY_INDEX, index=point.index, radius=-1.0), "radius is -1"),
         (Goal(choice=Goal.BY_INDEX, index=point.index, radius=math.nan), "radius is nan"),
         (Goal(choice=Goal.BY_INDEX, hold_evaluations=10**9), "hold_evaluations is 1000000000"),
-        (Goal(choice=Goal.BY_WEIGHTS), "weights name "),
+        (Goal(choice=Goal.BY_WEIGHTS), "weights are "),
+        (Goal(choice=Goal.BY_WEIGHTS, weights=named({"f9": 1.0})), "weights name eps_x, dE, f9"),
+        (Goal(run_id="none", index=0), "none"),
+        (Goal(run_id="../x", index=0), "../x"),
         (Goal(choice=Goal.BY_WEIGHTS, weights=named(some) * 2), "the list of weights names "),
         (Goal(choice=Goal.BY_WEIGHTS, weights=named(some | {"dE": -1.0})), "weights are "),
     ):

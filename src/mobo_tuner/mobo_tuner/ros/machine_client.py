@@ -151,7 +151,7 @@ class MachineClient:
     async def where(self, *interrupts: Future) -> dict[str, float] | None:
         """Where the machine is, by its readbacks; nothing moves. None when interrupted.
 
-        It is asked to go nowhere at all, which it refuses, saying where it is.
+        It is asked to go nowhere at all; where it refuses that, it says where it is all the same.
 
         Raises:
             MachineLostError: it does not say.

@@ -178,24 +178,28 @@ class MachineServer:
         return failure
 
     async def _apply(self, goal_handle: ServerGoalHandle) -> ApplySetpoint.Result:
-        """Serve one goal of `apply_setpoint`."""
+        """Serve one goal of `apply_setpoint`; without a set-point it only says where the machine is."""
         result = ApplySetpoint.Result()
-        try:
-            setpoint = check_setpoint(goal_handle.request.setpoint, self._backend.variables)
-        except ValueError as error:
-            failure: Failure | None = Failure(_Result.INVALID_SETPOINT, str(error))
-        else:
-            failure = self._refusal()
-            if failure is None:
-                operation = self._begin(goal_handle)
-                try:
-                    failure = await self._move(setpoint, operation)
-                finally:
-                    self._end()
+        failure = await self._run_move(goal_handle) if goal_handle.request.setpoint else None
         result.readbacks = list(self._backend.readbacks())
         result.stamp = self._now()
         self._conclude(goal_handle, result, failure, "a move")
         return result
+
+    async def _run_move(self, goal_handle: ServerGoalHandle) -> Failure | None:
+        """Move to a goal's set-point."""
+        try:
+            setpoint = check_setpoint(goal_handle.request.setpoint, self._backend.variables)
+        except ValueError as error:
+            return Failure(_Result.INVALID_SETPOINT, str(error))
+        failure = self._refusal()
+        if failure is not None:
+            return failure
+        operation = self._begin(goal_handle)
+        try:
+            return await self._move(setpoint, operation)
+        finally:
+            self._end()
 
     def _refusal(self) -> Failure | None:
         """Why the machine may not be moved now."""

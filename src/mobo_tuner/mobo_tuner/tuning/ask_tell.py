@@ -66,19 +66,20 @@ class AskTell:
         response.success = True
         response.setpoint = named_values(asked.setpoint, problem_units(run.problem))
         response.source = SOURCES[asked.source]
-        response.evaluations = run.index
+        response.run_id, response.index = run.run_id, run.index
         return response
 
     async def _tell(self, request: Tell.Request, response: Tell.Response) -> Tell.Response:
         try:
             setpoint = unique_values("the set-point", request.setpoint)
             unique_values("the list of diagnostics", request.diagnostics)
+            self._check_run(request)
             run = await self._current()
             run.problem.normalize(setpoint)
-            message = await self._parts.worker.submit(
-                run.learn, self._suggestion(setpoint), self._outcome(run, request.diagnostics)
-            )
+            message = await self._parts.worker.submit(self._learn, run, setpoint, request)
         except Exception as error:  # as above
+            if request.run_id:
+                self._parts.log.warning(f"an answer is dropped: {sentence(error)}")
             response.message = sentence(error)
             return response
         self._parts.publishers.evaluation(message)
@@ -86,6 +87,27 @@ class AskTell:
         response.success = True
         response.evaluation = message
         return response
+
+    def _check_run(self, request: Tell.Request) -> None:
+        """Check that an answer is to the run that goes on here, before another begins.
+
+        Raises:
+            ValueError: it is not.
+        """
+        run = self._run if self._run is self._session.latest else None
+        if request.run_id and (run is None or request.run_id != run.run_id):
+            raise ValueError(f"run '{request.run_id}' is not the one that is asked and told of now")
+
+    def _learn(self, run: Run, setpoint: dict[str, float], request: Tell.Request) -> msg.Evaluation:
+        """Learn one answer; made for the worker thread, so that of two equal ones one is the first.
+
+        Raises:
+            ValueError: it is an answer to an evaluation that is not due.
+        """
+        if request.run_id and request.index != run.index:
+            why = "was told already" if request.index < run.index else "was not asked for yet"
+            raise ValueError(f"evaluation {request.index} of run '{run.run_id}' {why}")
+        return run.learn(self._suggestion(setpoint), self._outcome(run, request.diagnostics))
 
     async def _current(self) -> Run:
         """The run of whoever asks and tells.

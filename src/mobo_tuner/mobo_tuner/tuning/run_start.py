@@ -38,7 +38,9 @@ def read_earlier(runs_dir: str, run_id: str) -> Earlier:
         ValueError: there is no such run, or it cannot be gone on with.
     """
     if not runs_dir:
-        raise ValueError("resume_from needs the parameter runs_dir, which is empty")
+        raise ValueError(
+            "an earlier run is read from the folder runs_dir, a parameter that is empty"
+        )
     folder = Path(runs_dir) / check_run_id(run_id)
     if folder.resolve().parent != Path(runs_dir).resolve():
         raise ValueError(f"the run '{run_id}' is a link out of '{runs_dir}'")
@@ -131,6 +133,21 @@ def start_run(
     run.steering.queue.extend(dict(setpoint) for setpoint in history.waiting)
     run.journal.save(optimizer)
     return run
+
+
+def reopen_run(earlier: Earlier, interrupt: Future) -> Run:
+    """An earlier run as it was at its end: it does not go on, and nothing more is kept of it."""
+    history, optimizer = earlier
+    return Run(
+        run_id=history.run_id,
+        budget=len(history.evaluations),
+        hypervolume_goal=0.0,
+        optimizer=optimizer,
+        goal_id=b"",
+        interrupt=interrupt,
+        changeable=False,
+        journal=RunLog(None, {"run_id": history.run_id}),
+    )
 
 
 def start_holding(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from mobo_tuner.tuning.parts import TunerParts
 from mobo_tuner.tuning.run import Run
+from mobo_tuner.tuning.run_start import Earlier, read_earlier
 
 
 @dataclass
@@ -14,13 +16,13 @@ class Session:
     Attributes:
         run: that goes on.
         latest: the run that began last, whose evaluations are known; it may have ended.
-        starting: whether a run is about to begin, as one does that reads an earlier one first.
+        reading: whether an earlier run is being read.
         moving: whether the machine is on its way to a working point, or held there.
     """
 
     run: Run | None = None
     latest: Run | None = None
-    starting: bool = False
+    reading: bool = False
     moving: bool = False
 
     @property
@@ -30,10 +32,26 @@ class Session:
             return "the machine is going to a working point; one thing at a time is allowed"
         if self.run is not None:
             return f"run '{self.run.run_id}' is going on; one run at a time is allowed"
-        if self.starting:
-            return "a run is about to begin; one run at a time is allowed"
+        if self.reading:
+            return "an earlier run is being read; one thing at a time is allowed"
         return ""
 
     def current(self) -> Run | None:
         """The run that goes on."""
         return self.run
+
+
+async def read_run(parts: TunerParts, session: Session, run_id: str) -> Earlier:
+    """Read an earlier run from its folder, while nothing else may begin.
+
+    Raises:
+        ValueError, OSError: it cannot be read, with the reason.
+    """
+    session.reading = True
+    try:
+        earlier: Earlier = await parts.worker.submit(
+            read_earlier, parts.parameters["runs_dir"], run_id
+        )
+    finally:
+        session.reading = False
+    return earlier

@@ -15,8 +15,8 @@ from mobo_tuner.ros.conversions import seconds
 from mobo_tuner.tuning.parts import TunerParts
 from mobo_tuner.tuning.run import Run
 from mobo_tuner.tuning.run_keeper import RunKeeper
-from mobo_tuner.tuning.run_start import read_earlier, start_run
-from mobo_tuner.tuning.session import Session
+from mobo_tuner.tuning.run_start import start_run
+from mobo_tuner.tuning.session import Session, read_run
 
 CANCELED = "a client canceled it"
 
@@ -104,20 +104,15 @@ class TuneServer:
         goal: Tune.Goal = goal_handle.request
         if self._session.occupied:
             raise ValueError(self._session.occupied)
-        self._session.starting = True
-        try:
-            earlier = None
-            if goal.resume_from:
-                runs_dir = self._parts.parameters["runs_dir"]
-                earlier = await self._parts.worker.submit(read_earlier, runs_dir, goal.resume_from)
-            return start_run(
-                goal,
-                self._problem(),
-                self._parts.parameters,
-                goal_id=bytes(goal_handle.goal_id.uuid),
-                interrupt=Future(executor=self._parts.node.executor),
-                stamp=seconds(self._parts.now()),
-                earlier=earlier,
-            )
-        finally:
-            self._session.starting = False
+        earlier = None
+        if goal.resume_from:
+            earlier = await read_run(self._parts, self._session, goal.resume_from)
+        return start_run(
+            goal,
+            self._problem(),
+            self._parts.parameters,
+            goal_id=bytes(goal_handle.goal_id.uuid),
+            interrupt=Future(executor=self._parts.node.executor),
+            stamp=seconds(self._parts.now()),
+            earlier=earlier,
+        )

@@ -22,12 +22,13 @@ from mobo_tuner.tuning.holding import Holding
 from mobo_tuner.tuning.parts import TunerParts, sentence
 from mobo_tuner.tuning.run import Run, RunError
 from mobo_tuner.tuning.run_keeper import RunKeeper
-from mobo_tuner.tuning.session import Session
+from mobo_tuner.tuning.run_start import reopen_run
+from mobo_tuner.tuning.session import Session, read_run
 
 MAX_HOLD = 100_000  # evaluations
 DEFAULT_RADIUS = 0.1
 _CODES = GoToWorkingPoint.Result
-NOTHING = "nothing was measured yet: there is no front"
+NOTHING = "nothing was measured yet: there is no front, unless run_id names an earlier run"
 
 
 class WorkingPoints:
@@ -64,9 +65,10 @@ class WorkingPoints:
     async def _list(
         self, request: ListWorkingPoints.Request, response: ListWorkingPoints.Response
     ) -> ListWorkingPoints.Response:
-        run = self._session.latest
-        if run is None:
-            response.message = NOTHING
+        try:
+            run = await self._run(request.run_id)
+        except (ValueError, OSError) as error:
+            response.message = str(error)
             return response
         response.measured = run.front(self._parts.now())
         if request.predict:
@@ -94,8 +96,8 @@ class WorkingPoints:
     async def _execute(self, goal_handle: ServerGoalHandle) -> GoToWorkingPoint.Result:
         result = GoToWorkingPoint.Result(error_code=_CODES.NONE)
         try:
-            choice = self._choose(goal_handle.request)
-        except ValueError as error:
+            choice = await self._choose(goal_handle.request)
+        except (ValueError, OSError) as error:
             self._parts.log.warning(f"goal refused: {error}")
             result.error_code, result.error_msg = _CODES.INVALID_GOAL, str(error)
             goal_handle.abort()
@@ -128,17 +130,32 @@ class WorkingPoints:
             goal_handle.abort()
         return result
 
-    def _choose(self, goal: GoToWorkingPoint.Goal) -> Choice:
+    async def _run(self, run_id: str) -> Run:
+        """The run whose front is meant; an earlier one is read, and is the latest from then on.
+
+        Raises:
+            ValueError, OSError: there is none, or it cannot be read, with the reason.
+        """
+        latest = self._session.latest
+        if latest is not None and run_id in ("", latest.run_id):
+            return latest
+        if not run_id:
+            raise ValueError(NOTHING)
+        if self._session.occupied:
+            raise ValueError(self._session.occupied)
+        earlier = await read_run(self._parts, self._session, run_id)
+        interrupt = Future(executor=self._parts.node.executor)
+        self._session.latest = run = reopen_run(earlier, interrupt)
+        return run
+
+    async def _choose(self, goal: GoToWorkingPoint.Goal) -> Choice:
         """Check a goal.
 
         Raises:
-            ValueError: it cannot be served, with the reason.
+            ValueError, OSError: it cannot be served, with the reason.
         """
         if self._session.occupied:
             raise ValueError(self._session.occupied)
-        run = self._session.latest
-        if run is None:
-            raise ValueError(NOTHING)
         if goal.hold_evaluations > MAX_HOLD:
             raise ValueError(
                 f"hold_evaluations is {goal.hold_evaluations}; at most {MAX_HOLD} are allowed"
@@ -146,11 +163,13 @@ class WorkingPoints:
         radius = goal.radius or DEFAULT_RADIUS
         if not 0.0 < radius <= 1.0:
             raise ValueError(f"radius is {radius:g}; 0 to 1 is allowed")
+        run = await self._run(goal.run_id)
         index, weights = None, None
         if goal.choice == GoToWorkingPoint.Goal.BY_INDEX:
             index = goal.index
         elif goal.choice == GoToWorkingPoint.Goal.BY_WEIGHTS:
-            weights = unique_values("the list of weights", goal.weights)
+            weights = dict.fromkeys(run.problem.objective_names, 0.0)
+            weights |= unique_values("the list of weights", goal.weights)
         else:
             raise ValueError(f"choice is {goal.choice}; BY_INDEX and BY_WEIGHTS are allowed")
         front = run.optimizer.pareto_front()
