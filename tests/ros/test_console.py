@@ -210,6 +210,7 @@ def test_a_signal_cancels_the_run_and_shows_what_was_reached(
         r"run run1 was canceled: \d+ evaluations, hypervolume \d+, \d+ on the Pareto front",
         session.lines[-1],
     )
+    assert session.lines[-2] == "the run was stopped: a client canceled it"
     assert session.process.stderr == ""
 
 

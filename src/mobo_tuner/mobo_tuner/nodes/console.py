@@ -188,7 +188,8 @@ class Console:
             self._conclude(f"run {result.run_id} is finished ({result.stop_reason}): {reached}")
             return 0
         if result.error_code == Tune.Result.CANCELED:
-            self._conclude(f"run {result.run_id} was canceled: {reached}")
+            # The reason says where the machine was left, too.
+            self._conclude(f"{result.error_msg}\nrun {result.run_id} was canceled: {reached}")
             return EXIT_CANCELED
         if result.evaluations:
             self._conclude(f"run {result.run_id} broke off: {reached}")
