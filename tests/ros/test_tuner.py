@@ -155,7 +155,7 @@ def test_a_killed_machine_ends_the_run_with_an_error_and_loses_nothing(
     tmp_path: Path,
 ) -> None:
     machine = start_machine("speed:=50.0", config="awa.yaml")
-    start_tuner("machine_timeout:=2.0", config="awa.yaml")
+    start_tuner("machine_timeout:=2.0", "machine_return_timeout:=0.0", config="awa.yaml")
     client.send(Tune.Goal(run_id="killed", evaluations=50))
     spin_until(lambda: len(client.feedback) >= 2, "two evaluations")
     machine.kill()

@@ -180,8 +180,8 @@ TUNER = (
     ),
     ParameterSpec(
         "machine_return_timeout",
-        0.0,
-        "how long a run waits for a machine that was lost before it ends with an error [s]",
+        60.0,
+        "how long a run pauses until a machine that was lost is back, before it ends with an error [s]",
         minimum=0.0,
         maximum=604_800.0,
     ),
