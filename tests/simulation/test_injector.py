@@ -40,7 +40,7 @@ def middle() -> list[Moments]:
 
 def test_the_emittance_is_the_thermal_one_without_charge() -> None:
     # R/2 sqrt(E/mc^2): 0.383 mm mrad for 1 mm, where there is no magnetic field. Aberrations of
-    # solenoids and cavities add up to 5 % to a short and narrow bunch.
+    # solenoids and cavities add up to 3 % to a short and narrow bunch.
     laser = Laser(radius=1e-3, duration=0.5e-12, rise_time=0.2e-12)
     momentum = math.sqrt(1e-6 * laser.transverse_energy / ELECTRON_REST_ENERGY)
     thermal = 1e6 * 0.5 * laser.radius * momentum
