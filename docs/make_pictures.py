@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/method.md with the optimiser itself.
+"""Draw the pictures of docs/method.md and docs/machine.md with optimiser, simulation and surrogate themselves.
 
     python docs/make_pictures.py [FOLDER]
 
@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from cartoons import BLUE, GREEN, RED, draw_acquisition, draw_boxes
+from machine_pictures import draw_beam, draw_beamline, draw_front, draw_knobs
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -67,7 +68,9 @@ PRECISION = 16.0
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Draw all pictures."""
-    parser = argparse.ArgumentParser(description="Draw the pictures of docs/method.md.")
+    parser = argparse.ArgumentParser(
+        description="Draw the pictures of docs/method.md and docs/machine.md."
+    )
     parser.add_argument(
         "folder", type=Path, nargs="?", default=ROOT / "docs" / "images", help="where they go"
     )
@@ -79,14 +82,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--proximal-seeds", type=int, default=10, help="runs in the histograms of step lengths"
     )
     parser.add_argument("--grid", type=int, default=121, help="points of a map along each axis")
+    parser.add_argument("--particles", type=int, default=10_000, help="of a simulated beam")
+    parser.add_argument("--samples", type=int, default=2**17, help="random set-points")
+    parser.add_argument("--evaluations", type=int, default=60, help="of a run on the machine")
+    parser.add_argument("--only", nargs="+", choices=PICTURES, default=list(PICTURES), help="these")
     options = parser.parse_args(arguments)
     options.folder.mkdir(parents=True, exist_ok=True)
     with rc_context(STYLE):
-        for name, draw in PICTURES.items():
-            figure = draw(options)
+        for name in options.only:
+            figure = PICTURES[name](options)
             FigureCanvasAgg(figure)
             # Without the version of matplotlib in the file.
-            figure.savefig(options.folder / f"method_{name}.png", metadata={"Software": None})
+            figure.savefig(options.folder / f"{name}.png", metadata={"Software": None})
 
 
 # ---------------------------------------------------------------- the toy problem
@@ -285,11 +292,15 @@ def _input_axes(axes: Axes, title: str) -> None:
 
 
 PICTURES: dict[str, Callable[[argparse.Namespace], Figure]] = {
-    "boxes": lambda _: draw_boxes(),
-    "acquisition": lambda _: draw_acquisition(),
-    "toy": draw_toy,
-    "constraint": draw_constraint,
-    "proximal": draw_proximal,
+    "method_boxes": lambda _: draw_boxes(),
+    "method_acquisition": lambda _: draw_acquisition(),
+    "method_toy": draw_toy,
+    "method_constraint": draw_constraint,
+    "method_proximal": draw_proximal,
+    "machine_beamline": lambda _: draw_beamline(),
+    "machine_beam": lambda options: draw_beam(options.particles),
+    "machine_knobs": lambda _: draw_knobs(),
+    "machine_front": lambda options: draw_front(options.samples, options.evaluations, options.seed),
 }
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The pictures of docs/method.md can be drawn, and its table of presets says what the presets are."""
+"""The pictures of docs/method.md and docs/machine.md can be drawn; the table of presets says what the presets are."""
 
 from __future__ import annotations
 
@@ -12,10 +12,12 @@ from mobo_tuner.core.presets import PRESETS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 METHOD = (DOCS / "method.md").read_text(encoding="utf-8")
+MACHINE = (DOCS / "machine.md").read_text(encoding="utf-8")
 
 
-def test_the_script_draws_the_pictures_of_the_method(tmp_path: Path) -> None:
+def test_the_script_draws_the_pictures_of_the_documents(tmp_path: Path) -> None:
     quick = ["--constraint-seeds", "1", "--proximal-seeds", "1", "--grid", "11"]
+    quick += ["--particles", "200", "--samples", "100", "--evaluations", "12"]
     done = subprocess.run(
         [sys.executable, "-W", "error", str(DOCS / "make_pictures.py"), str(tmp_path), *quick],
         capture_output=True,
@@ -25,7 +27,7 @@ def test_the_script_draws_the_pictures_of_the_method(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     drawn = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    assert set(drawn) == set(re.findall(r"\]\(images/([^)]+)\)", METHOD))
+    assert set(drawn) == set(re.findall(r"\]\(images/([^)]+)\)", METHOD + MACHINE))
     assert all(content.startswith(b"\x89PNG\r\n\x1a\n") for content in drawn.values())
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import signal
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from awa_sim_node.surrogate import Surrogate
+from machine_support import MIDDLE
 from ros_support import NodeProcess, NodeStarter, wait_until
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -95,3 +98,17 @@ def test_a_slip_on_the_command_line_is_named(
     process = start_node(str(ROOT / "examples" / "steer.py"), *words)
     assert process.wait() == 2
     assert sentence in process.stderr
+
+
+def test_the_machine_is_driven_by_plain_topics_alone(start_node: NodeStarter) -> None:
+    start_node("-m", "awa_sim_node.node", "--ros-args", "-p", "mode:=ideal", "-p", "speed:=500.0")
+    scan = start_node("-u", str(ROOT / "examples" / "solenoid_scan.py"))
+    assert scan.wait(60.0) == 0, scan.stderr
+    lines = scan.stdout.splitlines()
+    assert [line.split("  ")[0] for line in lines] == [
+        f"K2 = {current:.1f} A" for current in (200.0, 215.0, 230.0, 245.0, 260.0)
+    ]
+    widths = [float(re.findall(r"sigma_x = ([\d.]+) mm", line)[0]) for line in lines]
+    assert widths == sorted(widths, reverse=True)
+    at_230 = Surrogate.load().predict({**MIDDLE, "K2": 230.0})["sigma_x"]
+    assert widths[2] == pytest.approx(at_230, abs=0.02)

@@ -1,4 +1,4 @@
-"""The table of simulations: complete, within its ranges, and physically possible."""
+"""The table of simulations: complete, within its ranges, physically possible, and read with care."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import qmc
 
+from awa_sim_node.simulation.constants import VERSION
+from awa_sim_node.simulation.samples import ROWS, sample
+from awa_sim_node.simulation.table import HEADER
 from awa_sim_node.surrogate import metadata
-from awa_sim_node.surrogate.simulations import SIMULATIONS_FILE, Simulations
+from awa_sim_node.surrogate.simulations import FIRST_HELD_OUT, SIMULATIONS_FILE, Simulations
 
 RANGES = np.array([quantity.training_range for quantity in metadata.INPUTS])
 ELECTRON_MASS = 0.51099895  # MeV
@@ -20,41 +22,33 @@ def table() -> Simulations:
     return Simulations.read()
 
 
-def test_size(table: Simulations) -> None:
-    assert table.fine.sum() == 227
-    assert (~table.fine).sum() == 500
-    assert table.inputs.shape == (727, 8)
-    assert table.outputs.shape == (727, 2, 9)
-    assert SIMULATIONS_FILE.stat().st_size < 200_000
+@pytest.fixture(scope="module")
+def lines() -> list[str]:
+    """The header and the first rows of the table."""
+    with SIMULATIONS_FILE.open() as file:
+        return [file.readline().strip() for _ in range(5)]
+
+
+def test_the_table_is_the_whole_series(table: Simulations) -> None:
+    np.testing.assert_array_equal(table.sample, np.arange(ROWS))
+    assert ROWS >= 2000
+    assert table.inputs.shape == (ROWS, 8)
+    assert table.outputs.shape == (ROWS, 2, 9)
+    assert np.all(table.version == int(VERSION))
+
+
+def test_every_row_is_the_point_it_claims_to_be(table: Simulations) -> None:
+    points = [sample(int(number)) for number in table.sample]
+    np.testing.assert_array_equal(
+        table.inputs,
+        [[getattr(p.settings, quantity.name) for quantity in metadata.INPUTS] for p in points],
+    )
+    np.testing.assert_array_equal(table.region, [p.region for p in points])
 
 
 def test_every_row_is_within_the_ranges_and_there_once(table: Simulations) -> None:
     assert np.all((table.inputs >= RANGES[:, 0]) & (table.inputs <= RANGES[:, 1]))
-    assert len(np.unique(table.inputs, axis=0)) == len(table.inputs)
-    for fine in (True, False):
-        assert len(np.unique(table.sample[table.fine == fine])) == (table.fine == fine).sum()
-
-
-def test_fine_rows_are_the_sobol_points_they_claim_to_be(table: Simulations) -> None:
-    low, high = RANGES.T
-    corner_low, corner_high = low.copy(), high.copy()
-    corner_low[1], corner_high[4] = 250.0, 66.0
-    space = low + qmc.Sobol(8, seed=11).random(256) * (high - low)
-    corner = corner_low + qmc.Sobol(8, seed=12).random(128) * (corner_high - corner_low)
-    for sample, inputs in zip(table.sample[table.fine], table.inputs[table.fine], strict=True):
-        ten, rest = divmod(int(sample), 10)
-        expected = space[7 * ten + rest] if rest < 7 else corner[3 * ten + rest - 7]
-        np.testing.assert_allclose(inputs, expected, rtol=1e-5, atol=1e-5)
-
-
-def test_coarse_rows_are_round_beams_of_the_usual_charge(table: Simulations) -> None:
-    coarse = ~table.fine
-    assert np.all(table.inputs[coarse, 6] == 40.0)
-    assert np.all(table.inputs[coarse, 7] == 0.0)
-    widths = table.outputs[coarse][:, :, [0, 1]]
-    emittances = table.outputs[coarse][:, :, [3, 4]]
-    assert np.abs(np.log(widths[..., 0] / widths[..., 1])).max() < 0.03
-    assert np.abs(np.log(emittances[..., 0] / emittances[..., 1])).max() < 0.05
+    assert len(np.unique(table.inputs, axis=0)) == len(table)
 
 
 def test_outputs_are_physically_possible(table: Simulations) -> None:
@@ -70,10 +64,56 @@ def test_outputs_are_physically_possible(table: Simulations) -> None:
     assert np.all(outputs[..., 5] <= bound)
 
 
-def test_a_table_with_a_hole_is_refused(tmp_path: Path) -> None:
-    lines = SIMULATIONS_FILE.read_text().splitlines()[:3]
-    lines[2] = lines[2].rsplit(",", 1)[0] + ",nan"
-    path = tmp_path / "simulations.csv"
+def test_held_out_rows_are_the_last_and_fill_the_box_and_the_corner(table: Simulations) -> None:
+    held_out = table.where(table.held_out)
+    assert len(table) - len(held_out) == FIRST_HELD_OUT >= 2000
+    assert len(held_out) >= 200
+    assert held_out.corner.sum() >= 60
+    assert np.all(held_out.corner[held_out.region == "corner"])
+    unit = (held_out.inputs - RANGES[:, 0]) / (RANGES[:, 1] - RANGES[:, 0])
+    assert np.all(unit[held_out.region == "space"].min(axis=0) < 0.05)
+    assert np.all(unit[held_out.region == "space"].max(axis=0) > 0.95)
+
+
+@pytest.mark.parametrize(
+    ("cell", "text", "message"),
+    [
+        ("eps_x@3.1", "nan", r"^eps_x@3\.1 = nan of sample 1 in .* must be a finite number$"),
+        ("eps_x@3.1", "", r"^eps_x@3\.1 =  of sample 1 in .* must be a finite number$"),
+        ("K1", "strong", r"^K1 = strong of sample 1 in .* must be a finite number$"),
+        ("version", "old", r"^version = old of sample 1 in .* must be a finite number$"),
+        ("sample", "0", r"must have each sample once, and has 0$"),
+        ("region", "edge", r"^region = 'edge' in .* must be one of space, corner$"),
+    ],
+)
+def test_a_bad_cell_is_named(
+    tmp_path: Path, lines: list[str], cell: str, text: str, message: str
+) -> None:
+    cells = lines[2].split(",")
+    cells[HEADER.split(",").index(cell)] = text
+    with pytest.raises(ValueError, match=message):
+        Simulations.read(_written(tmp_path, [*lines[:2], ",".join(cells)]))
+
+
+def test_a_row_that_was_cut_off_is_refused(tmp_path: Path, lines: list[str]) -> None:
+    with pytest.raises(ValueError, match=r"^transmission@3\.1 = None of sample 1 in .* must be"):
+        Simulations.read(_written(tmp_path, [*lines[:2], lines[2].rsplit(",", 1)[0]]))
+
+
+def test_another_table_is_refused(tmp_path: Path, lines: list[str]) -> None:
+    header = lines[0].replace("charge", "current")
+    with pytest.raises(ValueError, match=r"must have the column 'charge'$"):
+        Simulations.read(_written(tmp_path, [header, *lines[1:]]))
+    for content in ([], [""], ["mesh,sample"]):
+        with pytest.raises(ValueError, match=r"must have the column 'version'$"):
+            Simulations.read(_written(tmp_path, content))
+    with pytest.raises(ValueError, match=r"must have at least one row$"):
+        Simulations.read(_written(tmp_path, lines[:1]))
+    with pytest.raises(FileNotFoundError, match=r"missing\.csv"):
+        Simulations.read(tmp_path / "missing.csv")
+
+
+def _written(folder: Path, lines: list[str]) -> Path:
+    path = folder / "simulations.csv"
     path.write_text("\n".join(lines) + "\n")
-    with pytest.raises(ValueError, match=r"must hold finite values only$"):
-        Simulations.read(path)
+    return path

@@ -11,10 +11,9 @@
 * Beam is lost where it outgrows the aperture. The network gives the width the beam would have
   without an aperture; eight parameters shared by all rows turn that into the transmission and its
   effect on the rest.
-* A coarse mesh shifts the results a little and smoothly: the kind of mesh is an input.
 * Widths, emittances and lengths have a perceptron each. All learn the beam half-way to the screen
   besides, and that of the emittances the widths: only because this leads to a better inner
-  representation, which the few rows of the fine mesh could not teach alone.
+  representation than the screen could teach alone.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from awa_sim_node.surrogate.metadata import INPUTS
 
 _PLANES: Final = 2
 _LOGS: Final = 8  # sigma_x, sigma_y, sigma_z, eps_x, eps_y, eps_z, dE, energy
-_FEATURES: Final = 13
+_FEATURES: Final = 12
 _DEPTH: Final = 4  # hidden layers
 
 _WIDTH_FLOOR: Final = math.exp(-1.5)  # first guess of the narrowest waist against the usual width
@@ -77,7 +76,7 @@ class Perceptrons(nn.Module):
         self.linear = nn.Parameter(torch.zeros(members, _FEATURES, outputs))
 
     def forward(self, features: Tensor) -> Tensor:
-        """Return ``(M, n, outputs)`` for the features ``(n, 13)``."""
+        """Return ``(M, n, outputs)`` for the features ``(n, 12)``."""
         features = features.expand(len(self.linear), -1, -1)
         values = features
         *hidden, (last, bias) = zip(self.weights, self.biases, strict=True)
@@ -148,15 +147,10 @@ class EnsembleNetwork(nn.Module):
         self.log_mean.copy_(torch.as_tensor(mean))
         self.log_scale.copy_(torch.as_tensor(scale))
 
-    def forward(self, inputs: Tensor, fine: Tensor) -> Beam:
-        """Evaluate all members.
-
-        Args:
-            inputs: The eight inputs in their units, ``(n, 8)``.
-            fine: 1 for the fine mesh, -1 for the coarse one, ``(n,)``.
-        """
+    def forward(self, inputs: Tensor) -> Beam:
+        """Evaluate all members for the eight inputs in their units, ``(n, 8)``."""
         turned = torch.cat([inputs[:, :-1], -inputs[:, -1:]], dim=1)
-        features = torch.cat([self._features(inputs, fine), self._features(turned, fine)])
+        features = torch.cat([self._features(inputs), self._features(turned)])
         widths = self._transverse(_log_width(_planes(self.widths(features))), 0, 1.0)
         emittances = _planes(self.emittances(features))
         own = self._transverse(emittances[..., 0], 3, self.log_scale[:, 3])
@@ -172,8 +166,8 @@ class EnsembleNetwork(nn.Module):
         logs = torch.stack([logs[:, :, 0] + changes, logs[:, :, 1]], dim=2)
         return Beam(logs, hints, log_transmission)
 
-    def _features(self, inputs: Tensor, fine: Tensor) -> Tensor:
-        """Return scaled inputs, kind of mesh, and four ratios to the gun gradient, ``(n, 13)``."""
+    def _features(self, inputs: Tensor) -> Tensor:
+        """Return scaled inputs, and four ratios to the gun gradient, ``(n, 12)``."""
         gun = inputs[:, 4] / self.centre[4]
         ratios = [
             2.0 * ((inputs[:, 1] / self.centre[1] / gun) ** 2 - 1.0),
@@ -182,7 +176,7 @@ class EnsembleNetwork(nn.Module):
             inputs[:, 7] / self.half_width[7] / gun,
         ]
         scaled = (inputs - self.centre) / self.half_width
-        return torch.cat([scaled, torch.stack([fine, *ratios], dim=1)], dim=1)
+        return torch.cat([scaled, torch.stack(ratios, dim=1)], dim=1)
 
     def _transverse(self, values: Tensor, column: int, scale: Tensor | float) -> Tensor:
         """Return ``(M, n, 2, 2)``, x and y last, from ``(M, 2 n, 2)`` for k and -k."""

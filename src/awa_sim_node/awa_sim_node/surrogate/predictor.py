@@ -89,7 +89,7 @@ class Surrogate:
         """Return what ``predict`` and ``spread`` do, at the cost of one of them."""
         points, scalar = self._points(inputs)
         members = self._members(points)
-        return _by_name(average(members), scalar), _by_name(members.std(axis=0, ddof=1), scalar)
+        return _by_name(_average(members), scalar), _by_name(members.std(axis=0, ddof=1), scalar)
 
     def predict_array(self, inputs: NDArray[np.float64]) -> NDArray[np.float64]:
         """Predict the beam at the screen for n points at once.
@@ -103,7 +103,7 @@ class Surrogate:
         Raises:
             ValueError: If the shape is wrong, or a value not finite or outside its training range.
         """
-        return average(self._members(inputs))
+        return _average(self._members(inputs))
 
     def _points(self, inputs: Mapping[str, ArrayLike]) -> tuple[NDArray[np.float64], bool]:
         """Return the inputs as an array ``(n, 8)``, and whether all of them are plain numbers."""
@@ -130,8 +130,7 @@ class Surrogate:
             )
         self._refuse_extrapolation(inputs)
         with torch.inference_mode():
-            points = torch.from_numpy(inputs)
-            return outputs_of(self._network(points, torch.ones(len(points), dtype=torch.float64)))
+            return _outputs(self._network(torch.from_numpy(inputs)))
 
     def _refuse_extrapolation(self, inputs: NDArray[np.float64]) -> None:
         outside = ~((inputs >= self._low) & (inputs <= self._high))
@@ -146,13 +145,13 @@ class Surrogate:
         )
 
 
-def outputs_of(beam: Beam) -> NDArray[np.float64]:
+def _outputs(beam: Beam) -> NDArray[np.float64]:
     """Return the outputs at the screen of each member of an ensemble, ``(M, n, 9)``."""
     logs = torch.cat([beam.logs[:, :, 0], beam.log_transmission[..., None]], dim=-1)
     return np.asarray(torch.exp(logs).numpy(), dtype=np.float64)
 
 
-def average(members: NDArray[np.float64]) -> NDArray[np.float64]:
+def _average(members: NDArray[np.float64]) -> NDArray[np.float64]:
     """Average the members of an ensemble.
 
     Args:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Final
 
@@ -16,6 +16,16 @@ SIMULATIONS_FILE: Final = Path(__file__).with_name("simulations.csv")
 PLANES: Final = ("3.1", "1.95")
 """Where the beam was recorded [m from the cathode]: at the screen, and half-way to it."""
 
+REGIONS: Final = ("space", "corner")
+"""What a row is for: to fill the whole box, or the hard corner."""
+
+FIRST_HELD_OUT: Final = 2000
+"""Number of the first sample that no training sees. Each stretch of the series fills the space."""
+
+_INPUTS: Final = [quantity.name for quantity in INPUTS]
+_OUTPUTS: Final = [f"{quantity.name}@{plane}" for plane in PLANES for quantity in OUTPUTS]
+_COLUMNS: Final = ["version", "sample", "region", *_INPUTS, *_OUTPUTS]
+
 
 @dataclass(frozen=True)
 class Simulations:
@@ -24,40 +34,83 @@ class Simulations:
     Attributes:
         inputs: The eight inputs, in the order of ``INPUTS`` and in their units, ``(n, 8)``.
         outputs: The nine outputs at both ``PLANES``, in the order of ``OUTPUTS``, ``(n, 2, 9)``.
-        fine: Whether the row was made with the fine mesh, ``(n,)``.
-        sample: Number of the row in its series, ``(n,)``.
+        sample: Number of the row in the series, ``(n,)``.
+        region: One of ``REGIONS``, ``(n,)``.
+        version: Version of the simulation that made the row, ``(n,)``.
     """
 
     inputs: NDArray[np.float64]
     outputs: NDArray[np.float64]
-    fine: NDArray[np.bool_]
     sample: NDArray[np.int64]
+    region: NDArray[np.str_]
+    version: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.sample)
 
     @property
     def corner(self) -> NDArray[np.bool_]:
         """Whether the row is in the hard corner, K2 > 250 A and G1 < 66 MV/m, ``(n,)``."""
         return (self.inputs[:, 1] > 250.0) & (self.inputs[:, 4] < 66.0)
 
+    @property
+    def held_out(self) -> NDArray[np.bool_]:
+        """Whether no training sees the row, ``(n,)``."""
+        return self.sample >= FIRST_HELD_OUT
+
+    def where(self, rows: NDArray[np.bool_]) -> Simulations:
+        """Return the table of some rows, given by ``(n,)``."""
+        return Simulations(*[getattr(self, field.name)[rows] for field in fields(self)])
+
     @classmethod
     def read(cls, path: Path = SIMULATIONS_FILE) -> Simulations:
         """Read a table.
 
         Raises:
-            ValueError: If a value is not finite.
+            OSError: If there is no such file.
+            ValueError: If a column is missing, there is no row, a row is there twice or has an
+                unknown region, or a number is none or not finite.
         """
         with path.open(newline="") as file:
-            rows = list(csv.DictReader(file))
-        inputs = [[float(row[quantity.name]) for quantity in INPUTS] for row in rows]
-        outputs = [
-            [[float(row[f"{quantity.name}@{plane}"]) for quantity in OUTPUTS] for plane in PLANES]
-            for row in rows
-        ]
+            reader = csv.DictReader(file)
+            missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
+            if missing:
+                raise ValueError(f"{path} must have the column {missing[0]!r}")
+            rows = list(reader)
+        if not rows:
+            raise ValueError(f"{path} must have at least one row")
+        outputs = _numbers(path, rows, _OUTPUTS).reshape(-1, len(PLANES), len(OUTPUTS))
         table = cls(
-            np.asarray(inputs),
-            np.asarray(outputs),
-            np.asarray([row["mesh"] == "fine" for row in rows]),
-            np.asarray([int(row["sample"]) for row in rows]),
+            _numbers(path, rows, _INPUTS),
+            outputs,
+            _numbers(path, rows, ["sample"])[:, 0].astype(np.int64),
+            np.asarray([row["region"] for row in rows]),
+            _numbers(path, rows, ["version"])[:, 0].astype(np.int64),
         )
-        if not (np.isfinite(table.inputs).all() and np.isfinite(table.outputs).all()):
-            raise ValueError(f"{path} must hold finite values only")
+        numbers, counts = np.unique(table.sample, return_counts=True)
+        if counts.max() > 1:
+            raise ValueError(f"{path} must have each sample once, and has {numbers[counts > 1][0]}")
+        unknown = ~np.isin(table.region, REGIONS)
+        if unknown.any():
+            raise ValueError(
+                f"region = {str(table.region[unknown][0])!r} in {path} must be one of "
+                f"{', '.join(REGIONS)}"
+            )
         return table
+
+
+def _numbers(path: Path, rows: list[dict[str, str]], columns: list[str]) -> NDArray[np.float64]:
+    """Return some columns as numbers, ``(n, len(columns))``."""
+    values = np.empty((len(rows), len(columns)))
+    for i, row in enumerate(rows):
+        for j, column in enumerate(columns):
+            try:
+                values[i, j] = float(row[column] or "nothing")
+            except ValueError:
+                values[i, j] = np.nan
+            if not np.isfinite(values[i, j]):
+                raise ValueError(
+                    f"{column} = {row[column]} of sample {row['sample']} in {path} "
+                    "must be a finite number"
+                )
+    return values
