@@ -22,8 +22,9 @@ _FAILED = (_RESULT.TIMEOUT, _RESULT.INVALID_MEASUREMENT, _RESULT.UNKNOWN)
 _LOST = (_RESULT.MACHINE_LOST, _RESULT.CLIENT_LOST)
 # The machine would not, which may pass.
 _REFUSED = (_RESULT.INTERLOCK, _RESULT.NOT_ACTIVE)
-# The machine is there and will be ready, after what went before.
-_SOON = (_RESULT.BUSY, _RESULT.NOT_ACTIVE)
+# The machine is there and will be ready, after what went before; a bridge that has just started does
+# not know its interlocks yet.
+_SOON = (_RESULT.BUSY, *_REFUSED)
 SHORTEST_DELAY, LONGEST_DELAY = 0.1, 60.0  # [s] between two attempts
 
 
