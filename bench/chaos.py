@@ -34,9 +34,9 @@ from problems import cached
 from mobo_msgs_py.action import Tune
 from mobo_tuner.core.focus import largest_box
 from mobo_tuner.core.problem import ProblemError
-from mobo_tuner.history import History
-from mobo_tuner.journal import JournalError, Record, read_journal
-from mobo_tuner.replay import make_optimizer
+from mobo_tuner.runs.history import History
+from mobo_tuner.runs.journal import JournalError, Record, read_journal
+from mobo_tuner.runs.replay import make_optimizer
 
 TARGETS = {"tuner": 0.35, "machine": 0.15, "bridge": 0.2, "recorder": 0.15, "entry script": 0.15}
 POLICIES = ("hold", "restore", "best")
@@ -146,12 +146,15 @@ class Chaos:
         killed = time.monotonic()
         outcome.moment = killed - started
         if outcome.target == "tuner":
-            self._judge_tuner(scene, outcome, folder, before, killed)
+            where, places = self._judge_tuner(scene, outcome, folder, before, killed)
+            scene.start_missing(str(rng.choice(POLICIES)), speed)
+            if has_journal(folder):
+                self._go_on(scene, outcome, folder, before, where, places)
             return
+        outcome.evaluations = len(scene.client.heard)
         if outcome.target == "recorder":
             outcome.corrupt += bag_faults(scene.bag, scene.runs_dir, ())
         else:
-            outcome.evaluations = len(scene.client.heard)
             scene.start_machine(speed)
         result = scene.client.result()
         if result.error_code != Tune.Result.NONE:
@@ -167,25 +170,33 @@ class Chaos:
         folder: Path,
         before: Mapping[str, float],
         killed: float,
-    ) -> None:
-        """After the tuner was killed: the machine, what is kept, and the run that goes on."""
+    ) -> tuple[Mapping[str, float], list[Mapping[str, float]]]:
+        """After the tuner was killed: what is kept, where the machine is, and where it should be."""
         scene.client.spin(0.5)
-        heard, begun = list(scene.client.heard), set(scene.client.started)
         records = read_journal(folder) if has_journal(folder) else []
-        told = evaluations(records)
-        outcome.evaluations = len(told)
-        self._judge_kept(outcome, records, heard, begun)
+        outcome.evaluations = len(evaluations(records))
+        self._judge_kept(outcome, records, scene.client.heard, scene.client.started)
         places = self._places(records, outcome.policy, before)
-
-        def arrived(now: Mapping[str, float]) -> bool:
-            return any(_near(now, place) for place in places)
-
         # Where it holds it is at rest anyway, once it has noticed.
         noticed = killed + CLIENT_TIMEOUT + 1.0
-        where = scene.client.watch_until(lambda now: not places or arrived(now), noticed, PATIENCE)
-        scene.start_missing("hold" if outcome.number % 2 else "best", 100.0)
-        if not records:
-            return
+        where = scene.client.watch_until(
+            lambda now: not places or _near_any(now, places), noticed, PATIENCE
+        )
+        if places and not _near_any(where, places):
+            outcome.misplaced.append(f"it is at {where}, not at {places}")
+        return where, places
+
+    def _go_on(
+        self,
+        scene: Scene,
+        outcome: Outcome,
+        folder: Path,
+        before: Mapping[str, float],
+        where: Mapping[str, float],
+        places: list[Mapping[str, float]],
+    ) -> None:
+        """Resume the run that was killed, and compare; only now is known what was in flight."""
+        told = evaluations(read_journal(folder))
         after = f"{folder.name}-on"
         scene.begin(Tune.Goal(run_id=after, resume_from=folder.name, evaluations=BUDGET + 2))
         result = scene.client.result()
@@ -194,15 +205,10 @@ class Chaos:
             return
         resumed = read_journal(folder.parent / after)
         outcome.different += _differences(told, resumed)
-        if not places:
-            ends = [
-                before,
-                *(record["setpoint"] for record in evaluations(resumed)[: len(told) + 1]),
-            ]
-            if not _between(where, *ends[-2:]):
-                outcome.misplaced.append(f"it holds at {where}, not between {ends[-2:]}")
-        elif not arrived(where):
-            outcome.misplaced.append(f"it is at {where}, not at {places}")
+        visited = [record["setpoint"] for record in evaluations(resumed)[: len(told) + 1]]
+        start, end = [before, *visited][-2:]
+        if not places and not _between(where, start, end):
+            outcome.misplaced.append(f"it holds at {where}, not between {start} and {end}")
 
     def _judge_kept(
         self, outcome: Outcome, records: list[Record], heard: list[Any], begun: set[bytes]
@@ -313,8 +319,11 @@ def _best(records: list[Record], count: int) -> Mapping[str, float] | None:
     return dict(best["setpoint"]) if best else None
 
 
-def _near(now: Mapping[str, float], place: Mapping[str, float]) -> bool:
-    return all(abs(now[name] - value) <= TOLERANCE for name, value in place.items())
+def _near_any(now: Mapping[str, float], places: Sequence[Mapping[str, float]]) -> bool:
+    return any(
+        all(abs(now[name] - value) <= TOLERANCE for name, value in place.items())
+        for place in places
+    )
 
 
 def _between(

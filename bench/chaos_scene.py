@@ -52,7 +52,7 @@ class Client:
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain_id)
         self._executor = SingleThreadedExecutor(context=self._context)
-        self._node = Node("chaos", context=self._context)
+        self._node = Node("chaos", context=self._context, enable_rosout=False)
         self._executor.add_node(self._node)
         self._tune = ActionClient(self._node, Tune, "tune")
         self._apply = ActionClient(self._node, ApplySetpoint, "apply_setpoint")

@@ -10,10 +10,10 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from mobo_tuner.history import History
-from mobo_tuner.journal import JournalError, Record, read_journal
-from mobo_tuner.rebuild import BagError, records_of_bag, runs_of_bag
-from mobo_tuner.replay import compare
+from mobo_tuner.runs.history import History
+from mobo_tuner.runs.journal import JournalError, Record, read_journal
+from mobo_tuner.runs.rebuild import BagError, records_of_bag, runs_of_bag
+from mobo_tuner.runs.replay import compare
 
 
 def evaluations(records: Iterable[Record]) -> list[Record]:

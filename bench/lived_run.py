@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.runs.history import SETPOINT, told_outputs, told_readbacks
+from mobo_tuner.runs.history import SETPOINT, History, told_outputs, told_readbacks
 from mobo_tuner.runs.records import evaluation_record
 from mobo_tuner.runs.run_log import RunLog
 
@@ -46,7 +46,7 @@ class LivedRun:
         optimizer: at the beginning, or as it was restored.
         machine: measures.
         seed: of what happens.
-        log: where it is kept; None for a run that begins.
+        earlier: the run that this one goes on with, if any.
         events: whether evaluations fail, operators give set-points and the problem changes.
         model_input: what the models learn from; the readbacks are a bit off the set-points.
     """
@@ -57,7 +57,7 @@ class LivedRun:
         optimizer: Optimizer,
         machine: Machine,
         seed: int,
-        log: RunLog | None = None,
+        earlier: History | None = None,
         events: bool = True,
         model_input: str = SETPOINT,
     ) -> None:
@@ -75,7 +75,11 @@ class LivedRun:
             "model_input": model_input,
         }
         header = {"run_id": run_dir.name, "stamp": 0.0, "settings": settings}
-        self.log = log or RunLog(run_dir, {**header, "problem": optimizer.problem.to_dict()})
+        problem = optimizer.problem if earlier is None else earlier.problem
+        records = () if earlier is None else earlier.records
+        self.log = RunLog(run_dir, {**header, "problem": problem.to_dict()}, records)
+        self._waiting = [] if earlier is None else [dict(point) for point in earlier.waiting]
+        self._changed_at = {change.index for change in earlier.changes} if earlier else set()
 
     def ask(self) -> dict[str, float]:
         """What is measured next."""
@@ -87,13 +91,13 @@ class LivedRun:
         rng = np.random.default_rng([self._seed, index])
         happens = rng.random(3) if self._events else np.ones(3)
         if happens[0] < 0.05:
-            self._change(index, rng)
+            share = float(rng.uniform(0.8, 1.0))
+            if index not in self._changed_at:
+                self._change(index, share)
         setpoint, source = self.optimizer.ask(), self.optimizer.last_source
         if happens[1] < 0.1:
-            box = [(v.minimum, v.maximum) for v in self.optimizer.problem.variables]
-            values = [float(rng.uniform(*ends)) for ends in box]
-            setpoint, source = dict(zip(setpoint, values, strict=True)), "operator"
-            self.log.append({"type": "queued", "stamp": 0.0, "setpoint": setpoint})
+            source = "operator"
+            setpoint = self._waiting.pop() if self._waiting else self._given(rng)
         failed = happens[2] < 0.15
         measured = {} if failed else dict(self._machine(setpoint))
         diagnostics = {name: (value, math.nan) for name, value in measured.items()}
@@ -121,11 +125,17 @@ class LivedRun:
         self.log.append(evaluation_record(message))
         self.log.save(self.optimizer)
 
-    def _change(self, index: int, rng: np.random.Generator) -> None:
+    def _given(self, rng: np.random.Generator) -> dict[str, float]:
+        """A set-point that an operator gives."""
+        box = {v.name: (v.minimum, v.maximum) for v in self.optimizer.problem.variables}
+        setpoint = {name: float(rng.uniform(*ends)) for name, ends in box.items()}
+        self.log.append({"type": "queued", "stamp": 0.0, "setpoint": setpoint})
+        return setpoint
+
+    def _change(self, index: int, share: float) -> None:
         """Draw in the bounds of the first variable and worsen the first reference."""
         problem = self.optimizer.problem
         first, *others = problem.variables
-        share = rng.uniform(0.8, 1.0)
         narrower = replace(first, minimum=first.minimum * share, maximum=first.maximum * share)
         if not narrower.minimum < narrower.maximum or first.minimum > 0.0:
             narrower = first

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from mobo_tuner.core.sentence import SentenceError
 
-class ProblemError(ValueError):
+MAX_VALUES = 100_000  # in a file, those that aliases repeat included
+
+
+class ProblemError(SentenceError):
     """A problem that cannot be tuned; the message is one sentence for the user."""
 
 
@@ -32,9 +37,28 @@ def load_yaml(path: str | Path) -> dict[str, Any]:
         raise ProblemError(f"the file '{path}' is not valid YAML{where}: {what}") from None
     except RecursionError:
         raise ProblemError(f"the file '{path}' is nested too deeply") from None
+    except (AttributeError, ArithmeticError, TypeError, ValueError) as error:
+        # Of a value that is none of the type it names, as in `!!timestamp x`.
+        raise ProblemError(f"the file '{path}' is not valid YAML: {error}") from None
+    if _count(content, {}) > MAX_VALUES:
+        raise ProblemError(f"the file '{path}' holds more than the {MAX_VALUES} values allowed")
     if not isinstance(content, dict):
         raise ProblemError(f"the file '{path}' must hold a mapping of parameters")
     return content
+
+
+def _count(value: Any, known: dict[int, float]) -> float:
+    """Number of values within, each alias written out; infinite where one holds itself.
+
+    A few aliases of aliases stand for more than any computer can write out.
+    """
+    if not isinstance(value, dict | list | tuple | set):
+        return 1.0
+    if id(value) not in known:
+        known[id(value)] = math.inf  # until it is known
+        inside = [*value, *value.values()] if isinstance(value, dict) else value
+        known[id(value)] = 1.0 + sum(_count(item, known) for item in inside)
+    return known[id(value)]
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):

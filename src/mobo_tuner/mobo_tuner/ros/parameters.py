@@ -51,7 +51,8 @@ class ParameterSpec:
                 raise ProblemError(f"{name} is {value!r}; allowed are {', '.join(self.choices)}")
             return value
         whole = isinstance(self.default, int)
-        if not isinstance(value, int if whole else int | float) or not math.isfinite(value):
+        # A whole number may be too large for any comparison with a float but this one.
+        if not isinstance(value, int if whole else int | float) or not abs(value) < math.inf:
             raise ProblemError(f"{name} must be {self.type_name}, not {value!r}")
         if not self.minimum <= value <= self.maximum:
             raise ProblemError(f"{name} is {value}; {self.range_text} is allowed")

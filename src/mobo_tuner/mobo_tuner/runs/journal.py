@@ -32,13 +32,15 @@ from typing import Any
 
 import numpy as np
 
+from mobo_tuner.core.sentence import SentenceError
+
 FILE_NAME = "journal.jsonl"
 MAX_BYTES = 1 << 30  # of a journal that is read: half a million evaluations
 
 Record = dict[str, Any]
 
 
-class JournalError(ValueError):
+class JournalError(SentenceError):
     """A journal that cannot be read; the message is one sentence for the user."""
 
 

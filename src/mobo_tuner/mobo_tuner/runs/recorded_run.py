@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mobo_tuner.core.dataset import Dataset
 from mobo_tuner.core.pareto import is_below, is_nondominated
 from mobo_tuner.core.problem import Array, Problem, ProblemError
+from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import JournalError, Record
 
 BoolArray = NDArray[np.bool_]
@@ -25,7 +27,7 @@ class RecordedRun:
 
     Attributes:
         run_id: its name.
-        problem: what was tuned.
+        problem: what was tuned, as it was in the end.
         settings: what the tuner was set to.
         started: when it started [s since the epoch]; NaN if unknown.
         finished: when it ended; NaN if unknown or if it did not.
@@ -34,7 +36,8 @@ class RecordedRun:
         indices: of the evaluations, shape ``(n,)``.
         setpoints: as they were asked for.
         objectives: as measured, in their own units, shape ``(n, P)``; NaN where not measured.
-        initial, valid, feasible: of what kind each evaluation is, shape ``(n,)`` each.
+        initial, valid, feasible: of what kind each evaluation is, shape ``(n,)`` each; by the problem
+            as it was in the end.
         hypervolumes: after each evaluation, shape ``(n,)``.
         suggest_seconds, machine_seconds, total_seconds: of each evaluation, shape ``(n,)`` each.
     """
@@ -68,8 +71,13 @@ class RecordedRun:
         evaluations = [record for record in records if record["type"] == "evaluation"]
         ends = [record for record in records if record["type"] == "end"]
         end: Record = ends[-1] if ends else {"stop_reason": UNFINISHED}
+        changes = [record for record in records if record["type"] == "change"]
         try:
-            problem = Problem.from_dict(start["problem"])
+            problem = Problem.from_dict((changes[-1] if changes else start)["problem"])
+            valid = np.array([e["valid"] for e in evaluations], dtype=bool)
+            feasible = np.array([e["feasible"] for e in evaluations], dtype=bool)
+            if changes:
+                valid, feasible = _judge_anew(records, problem)
             objectives = [
                 [_mean(e["diagnostics"].get(name)) for name in problem.objective_names]
                 for e in evaluations
@@ -88,13 +96,15 @@ class RecordedRun:
                     len(evaluations), len(problem.objectives)
                 ),
                 initial=np.array([e["source"] == "initial" for e in evaluations], dtype=bool),
-                valid=np.array([e["valid"] for e in evaluations], dtype=bool),
-                feasible=np.array([e["feasible"] for e in evaluations], dtype=bool),
+                valid=valid,
+                feasible=feasible,
                 hypervolumes=_column(evaluations, "hypervolume"),
                 suggest_seconds=_column(evaluations, "suggest_seconds"),
                 machine_seconds=_column(evaluations, "machine_seconds"),
                 total_seconds=_column(evaluations, "total_seconds"),
             )
+        except JournalError:
+            raise
         except KeyError as error:
             raise JournalError(f"a record of the journal lacks {error}") from None
         except ProblemError as error:
@@ -123,6 +133,14 @@ class RecordedRun:
     def overhead_seconds(self) -> Array:
         """What an evaluation took beyond the suggestion and the machine, shape ``(n,)`` [s]."""
         return self.total_seconds - self.suggest_seconds - self.machine_seconds
+
+
+def _judge_anew(records: Sequence[Record], problem: Problem) -> tuple[BoolArray, BoolArray]:
+    """Which evaluations are valid, and which feasible, where the problem was changed amid them."""
+    dataset = Dataset(problem)
+    for told in History.from_records(records).evaluations:
+        dataset.add(told.setpoint, told.outputs)
+    return dataset.valid, dataset.feasible
 
 
 def _column(evaluations: Sequence[Record], key: str) -> Array:

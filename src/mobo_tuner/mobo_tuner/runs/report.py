@@ -180,7 +180,10 @@ def _finite(value: float) -> float | None:
 def _timestamp(seconds: float) -> str | None:
     if not math.isfinite(seconds):
         return None
-    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
+    try:
+        return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
+    except (OSError, OverflowError, ValueError):  # in no year that there is
+        return None
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -53,7 +53,7 @@ class SavedState:
                 "state": self.state,
             }
         ).encode()
-        replace_file(run_dir / FILE_NAME, text + b"\n" + _checksum(text) + b"\n")
+        replace_file(run_dir / FILE_NAME, text + b"\n" + checksum(text) + b"\n")
 
     @classmethod
     def read(cls, run_dir: Path) -> SavedState | None:
@@ -62,8 +62,8 @@ class SavedState:
         try:
             if path.stat().st_size > MAX_BYTES:
                 return None
-            text, checksum, *_ = path.read_bytes().split(b"\n")
-            if _checksum(text) != checksum:
+            text, given, *_ = path.read_bytes().split(b"\n")
+            if checksum(text) != given:
                 return None
             content = json.loads(text)
             return cls(
@@ -107,5 +107,6 @@ class SavedState:
         return None
 
 
-def _checksum(text: bytes) -> bytes:
+def checksum(text: bytes) -> bytes:
+    """What stands below a state, by which it is known to be whole."""
     return hashlib.sha256(text).hexdigest().encode()
