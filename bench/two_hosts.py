@@ -1,0 +1,154 @@
+"""A run over two hosts, made of network namespaces on this one, whose link is cut and restored in mid-run.
+
+The machine is on one host; tuner, recorder and console are on the other. They share nothing but a link. Needs
+root and `ip` (Debian: iproute2). Prints whether the run came to its end, how often evaluations were tried, and that no
+evaluation is missing from the journal; exits with 1 where anything is, and with 77 where namespaces cannot be made.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+TIMEOUT = 120.0  # [s] for the run
+HOSTS = ("mobo-a", "mobo-b")
+ENVIRONMENT = {
+    "ROS_DOMAIN_ID": "77",
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+    "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+    "OMP_NUM_THREADS": "1",
+}
+
+
+def ip(*words: str) -> None:
+    """Run `ip`."""
+    subprocess.run(["ip", *words], check=True, capture_output=True, text=True)
+
+
+def make_hosts() -> None:
+    """Two namespaces and a link between them.
+
+    Raises:
+        OSError, subprocess.CalledProcessError: they cannot be made.
+    """
+    for host in HOSTS:
+        ip("netns", "add", host)
+    ends = ("veth0", "veth1")
+    peer = ("peer", "name", ends[1], "netns", HOSTS[1])
+    ip("link", "add", ends[0], "netns", HOSTS[0], "type", "veth", *peer)
+    for number, (host, end) in enumerate(zip(HOSTS, ends, strict=True), start=1):
+        ip("-n", host, "address", "add", f"10.77.0.{number}/24", "dev", end)
+        for device in ("lo", end):
+            ip("-n", host, "link", "set", device, "up")
+        ip("-n", host, "route", "replace", "224.0.0.0/4", "dev", end)
+
+
+def remove_hosts() -> None:
+    """Take the namespaces away, as far as they are there."""
+    for host in HOSTS:
+        subprocess.run(["ip", "netns", "delete", host], check=False, capture_output=True)
+
+
+def start(host: str, module: str, folder: Path, *given: str) -> subprocess.Popen[bytes]:
+    """Start a node on a host."""
+    values = [word for value in given for word in ("-p", value)]
+    config = ("--params-file", str(ROOT / "config" / "toy.yaml"))
+    words = [sys.executable, "-m", module, "--ros-args", *config, *values]
+    with (folder / f"{module}.log").open("wb") as log:
+        return subprocess.Popen(
+            ["ip", "netns", "exec", host, *words],
+            env={**os.environ, **ENVIRONMENT},
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+        )
+
+
+def evaluations(journal: Path) -> list[dict]:
+    """The evaluations in a journal so far."""
+    lines = journal.read_bytes().split(b"\n")[:-1] if journal.exists() else []
+    return [r for r in map(json.loads, lines) if r["type"] == "evaluation"]
+
+
+def carry_out(folder: Path, budget: int, cut: float) -> bool:
+    """Make the run; whether all is well."""
+    journal = folder / "runs" / "run" / "journal.jsonl"
+    here, there = HOSTS
+    nodes = [
+        start(there, "awa_sim_node.node", folder, "awa_sim:speed:=10.0"),
+        start(
+            here,
+            "mobo_tuner.nodes.tuner",
+            folder,
+            f"tuner:runs_dir:={folder / 'runs'}",
+            "tuner:client_timeout:=2.0",
+            "tuner:machine_timeout:=2.0",
+            "tuner:machine_return_timeout:=60.0",
+        ),
+        start(here, "mobo_tuner.nodes.recorder", folder, f"recorder:bag_path:={folder / 'bag'}"),
+    ]
+    given = ("console:run_id:=run", f"console:evaluations:={budget}")
+    console = start(here, "mobo_tuner.nodes.console", folder, *given)
+    nodes.append(console)
+    try:
+        deadline = time.monotonic() + TIMEOUT
+        while len(evaluations(journal)) < budget // 3 and time.monotonic() < deadline:
+            time.sleep(0.1)
+        before = evaluations(journal)
+        ip("-n", here, "link", "set", "veth0", "down")
+        time.sleep(cut)
+        amid = evaluations(journal)
+        ip("-n", here, "link", "set", "veth0", "up")
+        # The kernel forgets routes over a link that is down.
+        ip("-n", here, "route", "replace", "224.0.0.0/4", "dev", "veth0")
+        status = console.wait(max(1.0, deadline - time.monotonic()))
+    except subprocess.TimeoutExpired:
+        print(f"the run was not at its end after {TIMEOUT:g} s")
+        return False
+    finally:
+        for node in nodes:
+            node.terminate()
+        for node in nodes:
+            try:
+                node.wait(10.0)
+            except subprocess.TimeoutExpired:
+                node.kill()
+    told = evaluations(journal)
+    print(
+        f"cut for {cut:g} s after evaluation {len(before)}, {len(amid) - len(before)} finished amid; "
+        f"{len(told)} of {budget} in the end, tried {[record['attempts'] for record in told]} times; "
+        f"the console ended with {status}"
+    )
+    whole = [record["index"] for record in told] == list(range(budget))
+    return status == 0 and whole and told[: len(amid)] == amid
+
+
+def main() -> int:
+    """Make the hosts, the run and the cut."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--evaluations", type=int, default=12)
+    parser.add_argument("--cut", type=float, default=6.0, help="[s] for which the link is cut")
+    options = parser.parse_args()
+    remove_hosts()
+    try:
+        make_hosts()
+    except (OSError, subprocess.CalledProcessError) as error:
+        remove_hosts()
+        print(f"network namespaces cannot be made here: {getattr(error, 'stderr', error)}")
+        return 77
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            return 0 if carry_out(Path(folder), options.evaluations, options.cut) else 1
+    finally:
+        remove_hosts()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
