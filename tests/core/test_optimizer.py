@@ -241,20 +241,25 @@ def test_when_nothing_is_feasible_it_goes_on_asking() -> None:
     assert min(x["x1"] for x in asked[4:]) < -1.9
 
 
-def test_twenty_variables_get_candidates_inside_the_bounds() -> None:
+def test_in_twenty_variables_suggestions_beat_a_latin_hypercube() -> None:
     names = [f"x{j}" for j in range(20)]
     problem = with_changes(variables={name: {"min": -2.0, "max": 2.0} for name in names})
     optimizer = Optimizer(problem, seed=1, initial_evaluations=12)
 
     def machine(x: Mapping[str, float]) -> dict[str, Any]:
         point = np.array([x[name] for name in names])
-        return {f"f{i}": float(np.linalg.norm(point - c)) / 4.5 for i, c in ((1, 1.0), (2, -1.0))}
+        return {f"f{i}": float(np.linalg.norm(point - c)) / 2.25 for i, c in ((1, 1.0), (2, -1.0))}
 
-    for x in tune(optimizer, 18, machine):
+    for x in tune(optimizer, 30, machine):
         assert x.keys() == set(names)
         assert all(-2.0 <= value <= 2.0 for value in x.values())
     assert optimizer.last_source == "model"
-    assert optimizer.hypervolume > 0.0
+    hypercubes = []
+    for seed in range(10):
+        points = 4.0 * qmc.LatinHypercube(20, rng=np.random.default_rng(seed)).random(30) - 2.0
+        values = [list(machine(dict(zip(names, row, strict=True))).values()) for row in points]
+        hypercubes.append(moocore.hypervolume(np.array(values), ref=[REFERENCE] * 2))
+    assert optimizer.hypervolume > 1.2 * max(hypercubes)
 
 
 def test_a_spent_time_budget_still_gives_a_candidate() -> None:

@@ -174,7 +174,7 @@ class MultiStart(Maximizer):
     finished: int = 8
     behind: float = 0.1
     evaluations: int = 30
-    tolerance: float = 1e-5
+    tolerance: float = 1e-4
 
     def _explore(self, search: _Search, seeds: FloatArray, rng: np.random.Generator) -> None:
         d = search.n_variables

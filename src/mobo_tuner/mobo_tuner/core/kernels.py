@@ -63,11 +63,11 @@ class ShapePrior(NamedTuple):
 
 
 def typical_log_length_scale(d: int) -> float:
-    """Where the prior of a log length-scale is centred: length-scales of 2 sqrt(d).
+    """Where the prior of a log length-scale is centred: length-scales of sqrt(d).
 
     The distance of two random points grows as the square root of d, `[Hvarfner2024]_` section 4.
     """
-    return float(np.log(2.0) + 0.5 * np.log(d))
+    return float(0.5 * np.log(d))
 
 
 class Kernel(ABC):
@@ -172,7 +172,7 @@ class RBF(Kernel):
         return np.asarray(-2.0 * np.exp(-2.0 * parameters) * np.diagonal(precision_gradient))
 
     def default_parameters(self) -> FloatArray:
-        """Length-scales of 2 sqrt(d), see `typical_log_length_scale`."""
+        """Length-scales of sqrt(d), see `typical_log_length_scale`."""
         return np.full(self.size, typical_log_length_scale(self.d))
 
     def bounds(self) -> FloatArray:
@@ -285,7 +285,7 @@ class RBFFull(Kernel):
         return np.concatenate([triangle[self._rows, self._columns], diagonal])
 
     def default_parameters(self) -> FloatArray:
-        """Length-scales of 2 sqrt(d), half of the precision from either part, no correlation."""
+        """Length-scales of sqrt(d), half of the precision from either part, no correlation."""
         half = 0.5 * np.exp(-2.0 * typical_log_length_scale(self.d))
         triangle = np.where(self._rows == self._columns, np.sqrt(half), 0.0)
         return np.concatenate([triangle, np.full(self.d, np.log(half))])

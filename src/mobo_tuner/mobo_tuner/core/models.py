@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -120,12 +121,13 @@ class Models:
             return
         patience = self._refit_every or 1 + self._trained // 25
         train = self._trained == 0 or count - self._trained >= patience
+        restarts = None if _is_time_to_restart(self._trained, count) else 0
         inputs = data.inputs
         for position, (name, process) in enumerate(self._processes.items()):
             y, stddev = self._observations(name, data)
             if train:
                 rng = np.random.default_rng([self._seed, 1, count, position])
-                process.fit(inputs[rows], y[rows], stddev[rows], rng=rng)
+                process.fit(inputs[rows], y[rows], stddev[rows], rng=rng, restarts=restarts)
             else:
                 for row in rows[self._held :]:
                     process.add(inputs[row], float(y[row]), float(stddev[row]))
@@ -164,3 +166,16 @@ class Models:
                 stddev[rows],
                 mean=self._means.get(name),
             )
+
+
+def _is_time_to_restart(trained: int, count: int) -> bool:
+    """Whether a training of `count` evaluations, the last one of `trained`, tries random starts too.
+
+    Where the last optimum is a poor one, a few more evaluations seldom show it, and a random start costs more than
+    to go on from there: it is tried whenever there are a fifth more evaluations.
+    """
+    return trained == 0 or int(_log_in_fifths(count)) > int(_log_in_fifths(trained))
+
+
+def _log_in_fifths(count: int) -> float:
+    return math.log(count) / math.log(1.2)
