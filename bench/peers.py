@@ -117,6 +117,9 @@ def botorch(n_objectives: int) -> Suggester:
     return suggest
 
 
+PEERS: dict[str, Callable[[int], Suggester]] = {"xopt": xopt, "botorch": botorch}
+
+
 def suggestion_times(
     suggest: Suggester, n: int, n_objectives: int, limit: float
 ) -> Iterator[float]:
@@ -137,6 +140,7 @@ def main() -> None:
     """Time every peer on every case."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", nargs="+", default=["2:20", "3:20", "3:100", "5:20"], help="P:n")
+    parser.add_argument("--peers", nargs="+", choices=list(PEERS), default=list(PEERS))
     parser.add_argument("--suggestions", type=int, default=5, help="at most, of each")
     parser.add_argument("--limit", type=float, default=150.0, help="CPU seconds for each")
     options = parser.parse_args()
@@ -147,18 +151,19 @@ def main() -> None:
     torch.set_default_dtype(torch.float64)
     list(zip(range(3), suggestion_times(ours(2), 8, 2, 60.0), strict=False))  # compile
 
-    print("P    n   suggestion CPU s: ours   Xopt  BoTorch   times faster than Xopt, BoTorch")
+    names = ["ours", *options.peers]
+    print(f"CPU s of a suggestion: {', '.join(names)}; times that ours is faster than each peer")
     for case in options.cases:
         n_objectives, n = (int(word) for word in case.split(":"))
         medians = []
-        for make in (ours, xopt, botorch):
+        for make in (ours, *(PEERS[name] for name in options.peers)):
             times = suggestion_times(make(n_objectives), n, n_objectives, options.limit)
             taken = [seconds for _, seconds in zip(range(options.suggestions), times, strict=False)]
             medians.append(float(np.median(taken)))
         own, *others = medians
         ratios = ", ".join(f"{other / own:.0f}" for other in others)
         numbers = " ".join(f"{value:8.3f}" for value in medians)
-        print(f"{n_objectives}  {n:3d}            {numbers}      {ratios}", flush=True)
+        print(f"P={n_objectives} n={n:3d}  {numbers}   {ratios}", flush=True)
 
 
 if __name__ == "__main__":

@@ -108,7 +108,7 @@ def test_random_points_are_as_alike_in_any_number_of_variables(name, d):
     x = np.random.default_rng(7).uniform(-1.0, 1.0, (200, d))
     scaled = x @ kernel.factor(kernel.default_parameters())
     squares = squared_distances(scaled, scaled)[np.triu_indices(len(x), 1)]
-    assert np.mean(squares) == pytest.approx(1.0 / 6.0, rel=0.1)
+    assert np.mean(squares) == pytest.approx(2.0 / 3.0, rel=0.1)
 
 
 def test_full_precision_from_a_given_matrix():

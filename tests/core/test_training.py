@@ -151,4 +151,4 @@ def test_one_observation_teaches_nothing():
     kernel = make_kernel("matern52", 2)
     x, z = np.zeros((1, 2)), np.ones(1)
     parameters = train(settings, kernel, 1.0, x, z, 0.0 * z, None, np.random.default_rng(0), 2)
-    np.testing.assert_allclose(np.exp(parameters), [np.sqrt(8.0), np.sqrt(8.0), 1.0, 1e-4])
+    np.testing.assert_allclose(np.exp(parameters), [np.sqrt(2.0), np.sqrt(2.0), 1.0, 1e-4])
