@@ -417,7 +417,10 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, metavar="S")
     parser.add_argument("--workers", type=int, default=2, help="kills at a time")
     parser.add_argument("--minutes", type=float, default=600.0, help="after which none is begun")
+    parser.add_argument("--fresh", action="store_true", help="forget what was kept")
     options = parser.parse_args()
+    if options.fresh:
+        _results(options.seed).unlink(missing_ok=True)
     end = time.time() + 60.0 * options.minutes
     missing = sorted(set(range(options.kills)) - set(kept_outcomes(options.seed)))
     with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:

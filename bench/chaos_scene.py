@@ -25,7 +25,7 @@ from rclpy.node import Node
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint, Tune
-from mobo_tuner.ros.qos import STREAM
+from mobo_tuner.ros.qos import LATCHED, STREAM
 from tools.ros_domain import RosDomain
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -58,10 +58,14 @@ class Client:
         self._apply = ActionClient(self._node, ApplySetpoint, "apply_setpoint")
         self.heard: list[msg.Evaluation] = []
         self.started: set[bytes] = set()
+        self._recorded: set[str] = set()
         self._result: Any = None
         kind = EvaluateSetpoint.Impl.FeedbackMessage
         self._subscriptions = [
             self._node.create_subscription(msg.Evaluation, "evaluation", self.heard.append, STREAM),
+            self._node.create_subscription(
+                msg.RecorderStatus, "recorder_status", self._hear_recorder, LATCHED
+            ),
             self._node.create_subscription(
                 kind, "evaluate_setpoint/_action/feedback", self._hear_feedback, STREAM
             ),
@@ -70,11 +74,20 @@ class Client:
     def _hear_feedback(self, message: Any) -> None:
         self.started.add(bytes(message.goal_id.uuid))
 
+    def _hear_recorder(self, message: msg.RecorderStatus) -> None:
+        self._recorded.update(message.topics)
+
     def spin(self, seconds: float) -> None:
         """Hear whatever comes within `seconds`."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=min(left, _SPIN))
+
+    def spin_while(self, condition: Callable[[], bool], seconds: float) -> None:
+        """Spin while a condition holds, `seconds` at most."""
+        end = time.monotonic() + seconds
+        while condition() and time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=_SPIN)
 
     def spin_until(self, condition: Callable[[], object], what: str) -> None:
         """Spin until a condition holds.
@@ -89,7 +102,7 @@ class Client:
             self._executor.spin_once(timeout_sec=_SPIN)
 
     def wait_for_all(self) -> None:
-        """Wait until tuner and machine are there.
+        """Wait until tuner, machine and recorder are there.
 
         Raises:
             HangError: they do not come in time.
@@ -97,6 +110,7 @@ class Client:
         for client, what in ((self._tune, "the tuner"), (self._apply, "the machine")):
             self.spin_until(client.server_is_ready, what)
         self.spin_until(lambda: self._node.count_publishers("evaluation"), "the tuner's topics")
+        self.spin_until(lambda: "/evaluation" in self._recorded, "the recorder")
 
     def begin(self, goal: Tune.Goal) -> None:
         """Begin a run.
@@ -128,8 +142,14 @@ class Client:
         Raises:
             HangError: it does not answer.
         """
-        sent = self._apply.send_goal_async(ApplySetpoint.Goal())
-        self.spin_until(sent.done, "the answer of the machine")
+        deadline = time.monotonic() + TIMEOUT
+        while True:  # what is sent right after discovery may be lost
+            sent = self._apply.send_goal_async(ApplySetpoint.Goal())
+            self.spin_while(lambda s=sent: not s.done(), 2.0)  # type: ignore[misc]
+            if sent.done():
+                break
+            if time.monotonic() > deadline:
+                raise HangError("the machine does not say where it is")
         got = sent.result().get_result_async()
         self.spin_until(got.done, "where the machine is")
         return {item.name: item.value for item in got.result().result.readbacks}
