@@ -174,10 +174,14 @@ def test_one_violating_shot_ends_the_evaluation_and_pauses_the_run(
         config=constrained_toy(tmp_path, "{max: 0.5, critical: true}"),
     )
     statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
-    before = None
+    # A status that was on its way when the run was resumed is no pause.
+    resumed_after = 0  # evaluations
 
     def paused() -> bool:
-        return bool(statuses.messages) and statuses.messages[-1].state == msg.TunerStatus.PAUSED
+        if not statuses.messages:
+            return False
+        status = statuses.messages[-1]
+        return status.state == msg.TunerStatus.PAUSED and status.evaluations > resumed_after
 
     before = position()
     client.send(Tune.Goal(run_id="violating", evaluations=6))
@@ -187,7 +191,7 @@ def test_one_violating_shot_ends_the_evaluation_and_pauses_the_run(
         if paused():
             violations += 1
             assert position() == pytest.approx(before)
-            statuses.messages.clear()
+            resumed_after = statuses.messages[-1].evaluations
             assert services.trigger("resume").success
     assert client.wait().error_code == 0
     records = journal(tmp_path, "violating")[1:-1]

@@ -60,8 +60,9 @@ def mobo(*arguments: str) -> subprocess.CompletedProcess[str]:
         (["run", "--eval", "3"], "--eval"),
         (["walk"], "walk"),
         ([], "VERB"),
-        (["resume", "some-run"], "resume"),
-        (["report", "some-run"], "report"),
+        (["resume"], "RUN"),
+        (["report"], "RUN"),
+        (["resume", "some-run", "--evaluations", "0"], "--evaluations"),
     ],
 )
 def test_a_wrong_command_line_is_one_sentence(arguments: list[str], named: str) -> None:
