@@ -316,7 +316,8 @@ def test_the_manuals_example_fits_the_types(node: Node, executor: SingleThreaded
     ]
     refusal = bridge.refusal()
     assert refusal is not None
-    assert refusal.code == RESULT.INTERLOCK  # nothing of it is there
+    assert refusal.code == RESULT.MACHINE_LOST  # nothing of it is there
+    assert refusal.message.startswith("interlock permit is not known: ")
 
 
 def test_an_array_without_gaps_is_accepted_with_its_template(

@@ -252,8 +252,9 @@ class BridgeBackend:
         """What must end a move or a measurement at once."""
         for name, signal in self._interlocks.items():
             if signal.problem:
+                # As after a restart: the way to the machine is lost, which may come back by itself.
                 return Failure(
-                    _Result.INTERLOCK, f"interlock {name} is not known: {signal.problem}"
+                    _Result.MACHINE_LOST, f"interlock {name} is not known: {signal.problem}"
                 )
             if not signal.latest:
                 return Failure(_Result.INTERLOCK, f"interlock {name} forbids to move")
