@@ -1,0 +1,109 @@
+"""Runs from their bags alone: whole ones, and ones that were cut off anywhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.bagged_run import write_bag
+from bench.lived_run import LivedRun, toy, toy_optimizer
+from mobo_tuner.runs.journal import Record, read_journal
+from mobo_tuner.runs.rebuild import BagError, main, records_of_bag, runs_of_bag
+
+# The parser that ROS's type support imports does so.
+pytestmark = pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")
+
+SEED = 7  # with failures, an operator's set-points and two changes
+CUTS = 60
+
+
+def lived(folder: Path, evaluations: int) -> list[Record]:
+    """The records of a run, without those of set-points that wait: they are not in a bag."""
+    run = LivedRun(folder, toy_optimizer(SEED), toy, SEED)
+    for _ in range(evaluations):
+        run.step()
+    run.log.append({"type": "end", "stamp": 9.0, "stop_reason": "budget", "error_msg": ""})
+    run.log.close()
+    return [record for record in read_journal(folder) if record["type"] != "queued"]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Record]]:
+    folder = tmp_path_factory.mktemp("runs")
+    return {name: lived(folder / name, length) for name, length in (("one", 14), ("two", 5))}
+
+
+@pytest.fixture(scope="module")
+def bag(runs: dict[str, list[Record]], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bags") / "bag"
+    write_bag(path, runs["one"])
+    return path
+
+
+def steps(records: list[Record]) -> list[Record]:
+    """What a run can be lived through again from."""
+    return [record for record in records if record["type"] != "end"]
+
+
+def test_a_whole_bag_holds_the_whole_journal(bag: Path, runs: dict[str, list[Record]]) -> None:
+    assert {record["type"] for record in runs["one"]} == {"start", "change", "evaluation", "end"}
+    assert steps(records_of_bag(bag)) == steps(runs["one"])
+    end = records_of_bag(bag)[-1]
+    assert (end["type"], end["stop_reason"]) == ("end", "budget")
+
+
+def test_a_bag_that_was_cut_anywhere_holds_the_beginning(
+    bag: Path, runs: dict[str, list[Record]], tmp_path: Path
+) -> None:
+    (whole,) = bag.glob("*.mcap")
+    content = whole.read_bytes()
+    file = tmp_path / "cut.mcap"
+    found = []
+    for length in np.random.default_rng(3).integers(0, len(content), CUTS):
+        file.write_bytes(content[:length])
+        try:
+            records = steps(records_of_bag(file))
+        except BagError as error:
+            assert "\n" not in str(error)
+            records = []
+        assert records == steps(runs["one"])[: len(records)]
+        found.append((int(length), len(records)))
+    counts = [count for _, count in sorted(found)]
+    assert counts == sorted(counts)  # more of a bag never tells less
+    assert counts[-1] >= len(steps(runs["one"])) - 2
+    assert len(set(counts)) > 5
+
+
+def test_of_several_runs_one_is_named(runs: dict[str, list[Record]], tmp_path: Path) -> None:
+    write_bag(tmp_path / "bag", runs["one"], runs["two"])
+    assert set(runs_of_bag(tmp_path / "bag")) == {"one", "two"}
+    assert steps(records_of_bag(tmp_path / "bag", "two")) == steps(runs["two"])
+    with pytest.raises(BagError, match="holds several runs: one, two"):
+        records_of_bag(tmp_path / "bag")
+    with pytest.raises(BagError, match="holds no run 'three'"):
+        records_of_bag(tmp_path / "bag", "three")
+
+
+def test_the_command_never_overwrites_a_journal(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "rebuilt"
+    assert main([str(bag), str(folder)]) == 0
+    kept = (folder / "journal.jsonl").read_bytes()
+    capsys.readouterr()
+    assert main([str(bag), str(folder)]) != 0
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert (folder / "journal.jsonl").read_bytes() == kept
+
+
+@pytest.mark.parametrize("content", [b"", b"no bag", b"\x89MCAP0\r\n" + bytes(200)])
+def test_what_is_no_bag_is_one_sentence(
+    content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "bag.mcap"
+    file.write_bytes(content)
+    assert main([str(file), str(tmp_path / "rebuilt")]) != 0
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert not (tmp_path / "rebuilt").exists()

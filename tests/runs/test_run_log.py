@@ -1,0 +1,71 @@
+"""What is kept of a run while it goes on."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.runs.journal import FILE_NAME, read_journal
+from mobo_tuner.runs.run_log import RunLog
+from mobo_tuner.runs.saved_state import SavedState
+
+PROBLEM = Problem.from_dict(
+    {
+        "variables": {"x": {"min": 0.0, "max": 1.0}},
+        "objectives": {"f": {"reference": 2.0}, "g": {"reference": 2.0}},
+    }
+)
+HEADER: dict[str, Any] = {"run_id": "run", "stamp": 0.0, "problem": PROBLEM.to_dict()}
+CHANGE = {"type": "change", "stamp": 1.0, "index": 0, "problem": PROBLEM.to_dict(), "budget": 9}
+
+
+def outlined(log: RunLog) -> list[str]:
+    return [json.loads(line)["type"] for line in log.outline.splitlines()]
+
+
+def test_the_outline_has_the_start_and_the_changes_alone() -> None:
+    log = RunLog(None, HEADER, [CHANGE])
+    log.append({"type": "evaluation", "index": 0})
+    log.append(CHANGE | {"index": 1})
+    assert outlined(log) == ["start", "change", "change"]
+
+
+def test_a_record_is_on_disk_when_it_was_appended(tmp_path: Path) -> None:
+    log = RunLog(tmp_path / "run", HEADER, [CHANGE])
+    log.append({"type": "queued", "stamp": 2.0, "setpoint": {"x": 0.5}})
+    assert [r["type"] for r in read_journal(tmp_path / "run")] == ["start", "change", "queued"]
+    log.close()
+    log.close()
+
+
+def test_the_saved_state_knows_how_far_the_run_was(tmp_path: Path) -> None:
+    optimizer = Optimizer(PROBLEM, seed=0)
+    log = RunLog(tmp_path / "run", HEADER)
+    for index in range(3):
+        optimizer.tell({"x": 0.3 * index}, {"f": float(index), "g": 1.0})
+    log.append(CHANGE)
+    log.save(optimizer)
+    saved = SavedState.read(tmp_path / "run")
+    assert saved is not None
+    assert (saved.run_id, saved.evaluations, saved.changes) == ("run", 3, 1)
+    log.close()
+
+
+def test_a_state_that_cannot_be_written_stops_nothing(tmp_path: Path) -> None:
+    log = RunLog(tmp_path / "run", HEADER)
+    (tmp_path / "run" / "optimizer.json").mkdir()  # no file can take its place
+    log.save(Optimizer(PROBLEM, seed=0))
+    assert SavedState.read(tmp_path / "run") is None
+    log.close()
+
+
+def test_a_run_is_never_overwritten(tmp_path: Path) -> None:
+    RunLog(tmp_path / "run", HEADER).close()
+    kept = (tmp_path / "run" / FILE_NAME).read_bytes()
+    with pytest.raises(FileExistsError):
+        RunLog(tmp_path / "run", HEADER)
+    assert (tmp_path / "run" / FILE_NAME).read_bytes() == kept
