@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -63,11 +64,9 @@ def test_a_bag_that_was_cut_anywhere_holds_the_beginning(
     found = []
     for length in np.random.default_rng(3).integers(0, len(content), CUTS):
         file.write_bytes(content[:length])
-        try:
+        records = []
+        with contextlib.suppress(BagError):  # too little is left of it
             records = steps(records_of_bag(file))
-        except BagError as error:
-            assert "\n" not in str(error)
-            records = []
         assert records == steps(runs["one"])[: len(records)]
         found.append((int(length), len(records)))
     counts = [count for _, count in sorted(found)]
