@@ -269,14 +269,14 @@ def test_a_write_error_is_reported_and_the_node_lives_on(
     record: Callable[..., Recording], node: Node, spin_until: SpinUntil
 ) -> None:
     def limit_file_size() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))
 
     texts = node.create_publisher(String, "text", STREAM)
     recording = record(preexec=limit_file_size)
     recording.wait_for(texts)
     texts.publish(String(data="short"))
     spin_until(lambda: len(read_with_mcap(recording.bag).get("/text", [])) == 1, "a flush")
-    texts.publish(String(data="x" * 200_000))
+    texts.publish(String(data="x" * 2_000_000))
     spin_until(lambda: not recording.status.recording, "the recorder to give up")
     assert recording.status.message == "the bag cannot be written: File too large"
     seen = recording.statuses
