@@ -98,3 +98,21 @@ def test_whatever_passes_is_within_the_limits(
         assert variable.min <= values[variable.name] <= variable.max
     assert shots <= 100
     assert timeout >= 0.0
+
+
+LONG = "x" * 100_000
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"setpoint": point(K1=1.0, phi=0.0, **{LONG: 0.0})},
+        {"setpoint": point(LONG, K1=1.0, phi=0.0)},
+        {"critical": [msg.Constraint(name=LONG, max=1.0)]},
+        {"critical": [msg.Constraint(name=LONG, max=1.0)] * 2},
+    ],
+)
+def test_a_long_text_is_not_quoted_whole(fields: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="'xxx") as caught:
+        check(**fields)
+    assert len(str(caught.value)) < 300

@@ -8,6 +8,8 @@ from collections.abc import Iterable, Sequence
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint
 
+MOST_SHOWN = 80  # characters of what somebody sent
+
 
 def check_setpoint(
     named: Sequence[msg.NamedValue], variables: Sequence[msg.Variable], what: str = "set-point"
@@ -27,7 +29,7 @@ def check_setpoint(
     unknown = [name for name in given if name not in names]
     if unknown:
         raise ValueError(
-            f"{what} names {unknown[0]!r}, but the machine's variables are {', '.join(names)}"
+            f"{what} names {_shown(unknown[0])}, but the machine's variables are {', '.join(names)}"
         )
     missing = [name for name in names if name not in given]
     if missing:
@@ -78,7 +80,7 @@ def _check_critical(
     for limit in _by_name(critical, "critical", "a diagnostic").values():
         if limit.name not in known:
             raise ValueError(
-                f"critical names {limit.name!r}, but the machine's diagnostics are "
+                f"critical names {_shown(limit.name)}, but the machine's diagnostics are "
                 f"{', '.join(known)}"
             )
         _check_unit(limit, known[limit.name], "critical")
@@ -94,9 +96,14 @@ def _by_name(items: Iterable, what: str, kind: str) -> dict:
     by_name: dict = {}
     for item in items:
         if item.name in by_name:
-            raise ValueError(f"{what} names {kind} twice: {item.name!r}")
+            raise ValueError(f"{what} names {kind} twice: {_shown(item.name)}")
         by_name[item.name] = item
     return by_name
+
+
+def _shown(text: str) -> str:
+    """What somebody sent, quoted, and cut where it is long."""
+    return repr(text[:MOST_SHOWN])
 
 
 def _check_unit(
@@ -104,4 +111,6 @@ def _check_unit(
 ) -> None:
     if given.unit and given.unit != known.unit:
         unit = f"{known.unit!r}" if known.unit else "none"
-        raise ValueError(f"{what} {given.name} is in {given.unit!r}; the machine's unit is {unit}")
+        raise ValueError(
+            f"{what} {given.name} is in {_shown(given.unit)}; the machine's unit is {unit}"
+        )
