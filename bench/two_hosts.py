@@ -1,8 +1,9 @@
 """A run over two hosts, made of network namespaces on this one, whose link is cut and restored in mid-run.
 
-The machine is on one host; tuner, recorder and console are on the other. They share nothing but a link. Needs
-root and `ip` (Debian: iproute2). Prints whether the run came to its end, how often evaluations were tried, and that no
-evaluation is missing from the journal; exits with 1 where anything is, and with 77 where namespaces cannot be made.
+The machine is on one host; tuner, recorder and console are on the other. They share nothing but a link. A second
+recorder beside the machine keeps its readbacks. Needs root and `ip` (Debian: iproute2). Prints whether the run came to
+its end, how often evaluations were tried, that no evaluation is missing from the journal, and how far the machine moved
+once it knew that the tuner was lost; exits with 1 where anything is wrong, and with 77 where namespaces cannot be made.
 """
 
 from __future__ import annotations
@@ -16,8 +17,14 @@ import tempfile
 import time
 from pathlib import Path
 
+from rosbags.typesys import Stores, get_typestore
+
+from mobo_tuner.runs.mcap_records import read_messages
+
 ROOT = Path(__file__).resolve().parents[1]
 TIMEOUT = 120.0  # [s] for the run
+CLIENT_TIMEOUT = 2.0  # [s] after which the machine takes the tuner for lost, and holds
+REACTION = 1.0  # [s] that it may take to do so
 HOSTS = ("mobo-a", "mobo-b")
 ENVIRONMENT = {
     "ROS_DOMAIN_ID": "77",
@@ -56,12 +63,15 @@ def remove_hosts() -> None:
         subprocess.run(["ip", "netns", "delete", host], check=False, capture_output=True)
 
 
-def start(host: str, module: str, folder: Path, *given: str) -> subprocess.Popen[bytes]:
+def start(
+    host: str, module: str, folder: Path, *given: str, namespace: str = "/"
+) -> subprocess.Popen[bytes]:
     """Start a node on a host."""
     values = [word for value in given for word in ("-p", value)]
+    values += ["-r", f"__ns:={namespace}"]
     config = ("--params-file", str(ROOT / "config" / "toy.yaml"))
     words = [sys.executable, "-m", module, "--ros-args", *config, *values]
-    with (folder / f"{module}.log").open("wb") as log:
+    with (folder / f"{module}{namespace.strip('/')}.log").open("wb") as log:
         return subprocess.Popen(
             ["ip", "netns", "exec", host, *words],
             env={**os.environ, **ENVIRONMENT},
@@ -77,6 +87,18 @@ def evaluations(journal: Path) -> list[dict]:
     return [r for r in map(json.loads, lines) if r["type"] == "evaluation"]
 
 
+def readbacks(bag: Path, since: float, until: float) -> dict[str, list[float]]:
+    """Where each variable was between two times [s since the epoch], as its plain topic told."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    found: dict[str, list[float]] = {}
+    for file in sorted(bag.glob("*.mcap")):
+        for message in read_messages(file):
+            if message.topic.endswith("/readback") and since < 1e-9 * message.time < until:
+                value = store.deserialize_cdr(message.data, "std_msgs/msg/Float64").data
+                found.setdefault(message.topic, []).append(value)
+    return found
+
+
 def carry_out(folder: Path, budget: int, cut: float) -> bool:
     """Make the run; whether all is well."""
     journal = folder / "runs" / "run" / "journal.jsonl"
@@ -88,11 +110,18 @@ def carry_out(folder: Path, budget: int, cut: float) -> bool:
             "mobo_tuner.nodes.tuner",
             folder,
             f"tuner:runs_dir:={folder / 'runs'}",
-            "tuner:client_timeout:=2.0",
+            f"tuner:client_timeout:={CLIENT_TIMEOUT}",
             "tuner:machine_timeout:=2.0",
             "tuner:machine_return_timeout:=60.0",
         ),
         start(here, "mobo_tuner.nodes.recorder", folder, f"recorder:bag_path:={folder / 'bag'}"),
+        start(
+            there,
+            "mobo_tuner.nodes.recorder",
+            folder,
+            f"bag_path:={folder / 'there'}",
+            namespace="/there",
+        ),
     ]
     given = ("console:run_id:=run", f"console:evaluations:={budget}")
     console = start(here, "mobo_tuner.nodes.console", folder, *given)
@@ -103,7 +132,9 @@ def carry_out(folder: Path, budget: int, cut: float) -> bool:
             time.sleep(0.1)
         before = evaluations(journal)
         ip("-n", here, "link", "set", "veth0", "down")
+        since = time.time() + CLIENT_TIMEOUT + REACTION
         time.sleep(cut)
+        until = time.time()
         amid = evaluations(journal)
         ip("-n", here, "link", "set", "veth0", "up")
         # The kernel forgets routes over a link that is down.
@@ -126,8 +157,15 @@ def carry_out(folder: Path, budget: int, cut: float) -> bool:
         f"{len(told)} of {budget} in the end, tried {[record['attempts'] for record in told]} times; "
         f"the console ended with {status}"
     )
+    rests = readbacks(folder / "there", since, until)
+    moved = {topic: max(values) - min(values) for topic, values in rests.items()}
+    counts = [len(values) for values in rests.values()]
+    print(
+        f"from {until - since:.1f} s before the link was restored on, {counts} readbacks moved by {moved}"
+    )
+    still = bool(moved) and min(counts) >= 5 and not any(moved.values())
     whole = [record["index"] for record in told] == list(range(budget))
-    return status == 0 and whole and told[: len(amid)] == amid
+    return status == 0 and whole and told[: len(amid)] == amid and still
 
 
 def main() -> int:
