@@ -254,7 +254,9 @@ def test_a_fault_amid_a_move_ends_it(
     assert largest <= 250.0
     if fault != "offset":
         assert positions[-1] < 990.0
-        assert values(machine.client.feedback[-1].readbacks)["x2"] == pytest.approx(0.0, abs=0.01)
+        others = [values(feedback.readbacks)["x2"] for feedback in machine.client.feedback]
+        known = [value for value in others if math.isfinite(value)]  # silent, neither is, soon
+        assert known[-1] == pytest.approx(0.0, abs=0.01)
 
 
 def test_a_cancel_holds_the_ramp_where_it_is(start: Callable[..., Bridged]) -> None:

@@ -25,4 +25,4 @@ def check_run_id(run_id: str) -> str:
 
 def new_run_id(label: str) -> str:
     """A fresh run id that starts with the local time, so that runs sort by age."""
-    return f"{datetime.now():%Y%m%d-%H%M%S}-{label}-{secrets.token_hex(2)}"
+    return f"{datetime.now():%Y%m%d-%H%M%S}-{label}-{secrets.token_hex(4)}"
