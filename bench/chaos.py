@@ -264,7 +264,7 @@ class Chaos:
         except JournalError as error:
             outcome.corrupt.append(str(error))
         if outcome.well:
-            shutil.rmtree(place)
+            shutil.rmtree(place, ignore_errors=True)  # where it was killed before it made any
         return outcome
 
     def _judge_mobo(self, outcome: Outcome, folder: Path) -> None:
