@@ -88,7 +88,10 @@ def compare(seed: int) -> dict[str, Any]:
             folder = Path(scratch, f"run-{number}")
             rest = 1.0 - told[-1] / LENGTH
             kill_amid(partial(start, folder), duration * rest * rng.random())
-            if (folder / FILE_NAME).exists():
+            journal = folder / FILE_NAME
+            if (
+                journal.exists() and b"\n" in journal.read_bytes()
+            ):  # else it was killed before it began
                 start = partial(go_on, folder, seed=seed)
                 told.append(len(kept(folder)))
         last = Path(scratch, "last")
