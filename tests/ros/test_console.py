@@ -129,7 +129,7 @@ def test_without_parameters_the_run_gets_a_name_and_the_tuners_budget(session: S
     session.start(run_id="''", evaluations=0)
     session.ends_with(0)
     (goal,) = session.tuner.goals
-    assert re.fullmatch(r"\d{8}-\d{6}-run-[0-9a-f]{4}", goal.run_id)
+    assert re.fullmatch(r"\d{8}-\d{6}-run-[0-9a-f]{8}", goal.run_id)
     assert goal.evaluations == 0
     assert len([line for line in session.lines if " of 4: " in line]) == 4
 

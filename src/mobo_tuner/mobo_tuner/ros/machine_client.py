@@ -21,6 +21,7 @@ from mobo_tuner.ros.conversions import measurements_of, values_of
 from mobo_tuner.ros.waiting import first_of, until
 
 CANCEL_TIMEOUT = 0.6  # [s] for the machine to confirm that it stopped
+LET_GO_TIMEOUT = 2.0  # [s] for what was stopped to end, before the machine is asked for more
 _RESULT = EvaluateSetpoint.Result
 
 FeedbackCallback = Callable[[Any], None]
@@ -55,6 +56,7 @@ class MachineClient:
         self._node = node
         self._silence_timeout = silence_timeout
         self._evaluation_timeout = evaluation_timeout
+        self._stopped: Future | None = None  # the result of what was stopped, until it came
         self._evaluate = ActionClient(node, EvaluateSetpoint, "evaluate_setpoint")
         self._apply = ActionClient(node, ApplySetpoint, "apply_setpoint")
         # Made last: endpoints are discovered in this order, so that a machine that answers this one
@@ -168,8 +170,9 @@ class MachineClient:
         """Have the machine go to a set-point by itself: only its acceptance is waited for."""
         if not self._apply.server_is_ready():
             return False
+        await self._let_go(timeout / 2)
         sent = self._apply.send_goal_async(ApplySetpoint.Goal(setpoint=list(setpoint)))
-        done = await first_of(self._node, sent, timeout=timeout)
+        done = await first_of(self._node, sent, timeout=timeout / 2)
         return done is not None and sent.result().accepted
 
     async def _carry_out(
@@ -186,6 +189,9 @@ class MachineClient:
         Raises:
             MachineLostError: it refused the goal, fell silent or took too long.
         """
+        await self._let_go(LET_GO_TIMEOUT, *(interrupts if cancel else ()))
+        if cancel and _any_done(interrupts):
+            return None
         patience = _Patience(self._silence_timeout, self._evaluation_timeout, what)
 
         def heard(message: Any) -> None:
@@ -213,13 +219,40 @@ class MachineClient:
                 raise
             finally:
                 if not finished.done():
+                    self._stopped = finished
                     finished.add_done_callback(lambda _: self._drop_late(what))
             return finished.result().result
         finally:
             patience.over = True
             if cancel and not sent.done():
                 # The goal may be accepted after all: whoever is told so must stop it.
-                sent.add_done_callback(_cancel_late)
+                self._stopped = self._cancel_late(sent)
+
+    async def _let_go(self, timeout: float, *interrupts: Future) -> None:
+        """Wait for what was stopped to end: until then the machine refuses everything else."""
+        if self._stopped is None:
+            return
+        done = await first_of(self._node, self._stopped, *interrupts, timeout=timeout)
+        if done is None or done is self._stopped:
+            self._stopped = None
+
+    def _cancel_late(self, sent: Future) -> Future:
+        """Stop a goal once it is accepted; the future is done when the goal has ended."""
+        ended: Future = Future(executor=self._node.executor)
+
+        def end(_: Future) -> None:
+            ended.set_result(None)
+
+        def answered(_: Future) -> None:
+            if sent.cancelled() or sent.exception() is not None or not sent.result().accepted:
+                ended.set_result(None)
+                return
+            handle: ClientGoalHandle = sent.result()
+            handle.cancel_goal_async()
+            handle.get_result_async().add_done_callback(end)
+
+        sent.add_done_callback(answered)
+        return ended
 
     async def _answered(
         self, future: Future, patience: _Patience, interrupts: Sequence[Future]
@@ -289,10 +322,3 @@ def clip_to_limits(
 
 def _any_done(futures: Sequence[Future]) -> bool:
     return any(future.done() for future in futures)
-
-
-def _cancel_late(sent: Future) -> None:
-    if not sent.cancelled() and sent.exception() is None:
-        handle: ClientGoalHandle = sent.result()
-        if handle.accepted:
-            handle.cancel_goal_async()

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import ParamSpec, TypeVar
 
 from rclpy.executors import Executor
 from rclpy.task import Future
+
+# [s] of `sys.setswitchinterval`. Work that gives up the interpreter's lock for some microseconds at a
+# time, as a training does around its small array operations, wakes the executor's thread, has the
+# lock again before that thread runs, and so starts the interval anew: with the default of 5 ms, a
+# cancel then took up to 2.5 s. It must be shorter than the work between two such operations.
+SWITCH_INTERVAL = 1e-5
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -21,6 +28,7 @@ class Worker:
     """
 
     def __init__(self, executor: Executor, name: str) -> None:
+        sys.setswitchinterval(SWITCH_INTERVAL)
         self._executor = executor
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix=name)
         self._pending = 0

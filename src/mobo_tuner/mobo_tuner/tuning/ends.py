@@ -14,7 +14,7 @@ from mobo_tuner.tuning.run import Run, RunError
 
 HOLD, RESTORE, BEST = POLICIES = ("hold", "restore", "best")
 EVENTS = ("on_abort", "on_violation", "on_client_lost")
-SEND_OFF_TIMEOUT = 0.7  # [s] for the machine to accept a move while this process is stopping
+SEND_OFF_TIMEOUT = 1.2  # [s] for the machine to accept a move while this process is stopping
 
 
 class Ends:
