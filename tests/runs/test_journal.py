@@ -1,5 +1,6 @@
 """The journal: what is written is there, also after the writer is killed."""
 
+import errno
 import json
 import math
 import os
@@ -76,6 +77,25 @@ def test_an_existing_journal_is_never_overwritten(tmp_path: Path) -> None:
     with pytest.raises(FileExistsError, match="exists already"):
         Journal.create(tmp_path, {"run_id": "other"})
     assert (tmp_path / FILE_NAME).read_bytes() == before
+
+
+@pytest.mark.parametrize("hard_links", [True, False])
+def test_a_new_journal_gets_its_name_only_once_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hard_links: bool
+) -> None:
+    def link(*_: object) -> None:
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    if not hard_links:
+        monkeypatch.setattr(os, "link", link)
+    with Journal.create(tmp_path, HEADER) as journal:
+        journal.append({"type": "end"})
+    assert [path.name for path in tmp_path.iterdir()] == [FILE_NAME]
+    assert [r["type"] for r in read_journal(tmp_path)] == ["start", "end"]
+    with pytest.raises(FileExistsError, match="exists already"):
+        Journal.create(tmp_path, {"run_id": "other"})
+    assert [path.name for path in tmp_path.iterdir()] == [FILE_NAME]
+    assert len(read_journal(tmp_path)) == 2
 
 
 def test_a_header_that_is_no_json_leaves_nothing_behind(tmp_path: Path) -> None:
@@ -167,6 +187,28 @@ journal.append({"type": "end"})
     )
     assert done.stdout.strip() == "OSError"
     assert [r["type"] for r in read_journal(tmp_path)] == ["start", "end"]
+
+
+def test_a_journal_begins_with_its_start_whenever_its_writer_was_killed(tmp_path: Path) -> None:
+    script = """
+import itertools, pathlib, sys
+from mobo_tuner.runs.journal import Journal
+for index in itertools.count():
+    Journal.create(pathlib.Path(sys.argv[1]) / str(index), {"run_id": "r", "text": "x" * 100_000})
+    print(index, flush=True)
+"""
+    for kill in range(5):
+        folder = tmp_path / str(kill)
+        with subprocess.Popen(
+            [sys.executable, "-c", script, str(folder)], stdout=subprocess.PIPE, text=True
+        ) as process:
+            assert process.stdout is not None
+            while int(process.stdout.readline()) < 10 + kill:
+                pass
+            os.kill(process.pid, signal.SIGKILL)
+        journals = list(folder.glob(f"*/{FILE_NAME}"))
+        assert len(journals) > 10
+        assert all(len(read_journal(path)) == 1 for path in journals)
 
 
 def test_every_announced_record_survives_kill_9(tmp_path: Path) -> None:

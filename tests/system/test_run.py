@@ -75,6 +75,20 @@ def test_two_runs_side_by_side_do_not_disturb_each_other(start: Callable[..., Ru
     assert setpoints[0] != setpoints[1]
 
 
+@pytest.mark.parametrize(("options", "reach"), [((), "LOCALHOST"), (("--network",), "SUBNET")])
+def test_a_run_is_open_to_other_hosts_only_where_that_is_asked_for(
+    start: Callable[..., Run], options: tuple[str, ...], reach: str
+) -> None:
+    run = start("--evaluations", "1000", *options)
+    run.until(lambda: run.evaluations(), "an evaluation")
+    for module in ("mobo_tuner.nodes.tuner", "awa_sim_node", "mobo_tuner.nodes.recorder"):
+        environment = Path(f"/proc/{run.node(module)}/environ").read_bytes().split(b"\0")
+        assert f"ROS_AUTOMATIC_DISCOVERY_RANGE={reach}".encode() in environment
+    run.process.send_signal(signal.SIGINT)
+    assert run.wait()[0] == 130
+    run.assert_nothing_left()
+
+
 def test_a_killed_machine_ends_the_run_with_a_clear_error(start: Callable[..., Run]) -> None:
     run = start("--speed", "50", config="awa.yaml")
     run.until(lambda: len(run.evaluations()) >= 2, "two evaluations")

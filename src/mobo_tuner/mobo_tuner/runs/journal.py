@@ -77,18 +77,19 @@ class Journal:
         folder = Path(run_dir)
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / FILE_NAME
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC
-        try:
-            descriptor = os.open(path, flags, 0o644)
-        except FileExistsError:
-            raise FileExistsError(f"the journal '{path}' exists already") from None
-        journal = cls(path, descriptor)
+        # Whoever reads a journal finds its start in it, whenever the writer was killed.
+        draft = folder / f".{FILE_NAME}.{os.getpid()}"
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_CLOEXEC
+        journal = cls(path, os.open(draft, flags, 0o644))
         try:
             journal._write(lines)
+            _put(draft, path)
             _sync_folder(folder)
         except BaseException:
             journal.close()
             raise
+        finally:
+            draft.unlink(missing_ok=True)
         return journal
 
     def append(self, record: Mapping[str, Any]) -> None:
@@ -206,6 +207,22 @@ def _strict(value: Any) -> Any:
     if value is None or isinstance(value, str | int | bool):
         return value
     raise ValueError(f"a journal cannot hold {value!r:.80}")
+
+
+def _put(draft: Path, path: Path) -> None:
+    """Give a finished file its name, which nothing may have yet.
+
+    Raises:
+        FileExistsError: something has that name.
+    """
+    try:
+        os.link(draft, path)
+    except FileExistsError:
+        raise FileExistsError(f"the journal '{path}' exists already") from None
+    except OSError:  # a file system without hard links
+        if path.exists():
+            raise FileExistsError(f"the journal '{path}' exists already") from None
+        draft.rename(path)
 
 
 def _sync_folder(folder: Path) -> None:

@@ -1,0 +1,140 @@
+"""The configuration that a run goes on with: the earlier run's own, as it was in the end, or another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from bench.lived_run import TOY, LivedRun, toy, toy_optimizer
+from mobo_tuner.core import Problem, ProblemError
+from mobo_tuner.core.parameter_file import load_yaml
+from mobo_tuner.runs.journal import JournalError
+from mobo_tuner.runs.resume_config import main, resume_config
+
+OTHERS = {"awa_sim": {"ros__parameters": {"speed": 100.0}}, "tuner": {"ros__parameters": {}}}
+CONFIG = {"/**": {"ros__parameters": TOY}, **OTHERS}
+NARROW = {"x1": {"min": -1.0, "max": 1.5}, "x2": {"min": -2.0, "max": 2.0}}
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> LivedRun:
+    """A run of three evaluations, with its configuration, going on."""
+    folder = tmp_path / "earlier"
+    run = LivedRun(folder, toy_optimizer(1), toy, seed=1, events=False)
+    for _ in range(3):
+        run.step()
+    (folder / "config.yaml").write_text("# by hand\n" + yaml.safe_dump(CONFIG))
+    return run
+
+
+@pytest.fixture
+def folder(run: LivedRun, tmp_path: Path) -> Path:
+    run.log.close()
+    return tmp_path / "earlier"
+
+
+def written(folder: Path, **sections: Any) -> Path:
+    """Another configuration."""
+    path = folder / "other.yaml"
+    path.write_text(yaml.safe_dump({**CONFIG, **sections}))
+    return path
+
+
+def test_a_run_that_was_not_changed_goes_on_with_its_own_file(folder: Path) -> None:
+    own = (folder / "config.yaml").read_bytes()
+    assert resume_config(folder, None, None) == resume_config(folder, None, 4) == own
+
+
+@pytest.mark.parametrize("layout", [CONFIG, TOY], ids=["sections", "plain"])
+def test_a_run_that_was_changed_goes_on_with_the_problem_as_it_was_in_the_end(
+    run: LivedRun, tmp_path: Path, layout: dict[str, Any]
+) -> None:
+    folder = tmp_path / "earlier"
+    (folder / "config.yaml").write_text(yaml.safe_dump(layout))
+    last = replace(Problem.from_dict({**TOY, "variables": NARROW}), constraints=())
+    change = {"type": "change", "stamp": 0.0, "index": 3, "budget": 9, "problem": last.to_dict()}
+    run.log.append(change)
+    run.log.close()
+    content = resume_config(folder, None, None)
+    assert content.startswith(b"# As run earlier was in the end.\n")
+    (tmp_path / "config.yaml").write_bytes(content)
+    again = load_yaml(tmp_path / "config.yaml")
+    assert Problem.from_dict(again) == last
+    assert {name: again.get(name) for name in OTHERS} == {name: layout.get(name) for name in OTHERS}
+
+
+def test_another_file_is_taken_as_it_is(folder: Path) -> None:
+    other = written(folder, **{"/**": {"ros__parameters": {**TOY, "variables": NARROW}}})
+    assert resume_config(folder, other, None) == other.read_bytes()
+
+
+@pytest.mark.parametrize("tuner", [{}, {"seed": 5}, {"preset": "default"}], ids=str)
+def test_settings_that_a_run_keeps_may_be_given_again(folder: Path, tuner: dict[str, Any]) -> None:
+    other = written(folder, tuner={"ros__parameters": tuner})
+    assert resume_config(folder, other, 10) == other.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("sections", "sentence"),
+    [
+        (
+            {"/**": {"ros__parameters": {**TOY, "variables": {"x1": {"min": 0.0, "max": 1.0}}}}},
+            "the variables are x1; a run that goes on with 'earlier' must have x1, x2",
+        ),
+        (
+            {"tuner": {"ros__parameters": {"preset": "paper"}}},
+            "tuner.preset is 'paper'; a run that goes on with 'earlier' keeps its \"default\"",
+        ),
+        (
+            {"tuner": {"ros__parameters": {"proximal": True}}},
+            "tuner.proximal is True; a run that goes on with 'earlier' keeps its false",
+        ),
+        ({"/**": {"ros__parameters": {"variables": {}}}}, "variables"),
+    ],
+)
+def test_what_cannot_change_is_named(folder: Path, sections: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ProblemError) as caught:
+        resume_config(folder, written(folder, **sections), None)
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_budget_that_is_used_up_is_refused(folder: Path) -> None:
+    with pytest.raises(ProblemError, match="evaluations is 3, and the run 'earlier' has 3 eval"):
+        resume_config(folder, None, 3)
+
+
+def test_a_run_without_a_file_needs_one(folder: Path) -> None:
+    (folder / "config.yaml").unlink()
+    with pytest.raises(ProblemError, match=r"holds no config\.yaml; give one by --config"):
+        resume_config(folder, None, None)
+    assert resume_config(folder, written(folder), None)
+
+
+def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(JournalError, match="cannot be read"):
+        resume_config(tmp_path, None, None)
+
+
+def test_the_command_writes_the_file_or_one_sentence(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.yaml"
+    assert main([str(folder), str(out), "--evaluations", "5"]) == 0
+    assert out.read_bytes() == (folder / "config.yaml").read_bytes()
+    out.unlink()
+    for words in (
+        [folder, out, "--evaluations", 2],
+        [tmp_path / "none", out],
+        [folder, tmp_path / "no" / "out.yaml"],
+        [folder, out, "--config", tmp_path],
+    ):
+        capsys.readouterr()
+        assert main([str(word) for word in words]) == 2
+        [sentence] = capsys.readouterr().err.splitlines()
+        assert len(sentence) > 20
+        assert not out.exists()
