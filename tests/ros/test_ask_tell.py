@@ -104,6 +104,27 @@ def test_a_loop_of_ones_own_gets_what_the_library_would_ask(
     assert [r["valid"] for r in records[1:]] == [True] * 9 + [False]
 
 
+def test_readbacks_that_are_told_are_kept_and_learned_from(
+    start_tuner: Callable[..., NodeProcess], loop: Loop, tmp_path: Path
+) -> None:
+    start_tuner("seed:=5", "initial_evaluations:=3", "model_input:=readback")
+    oracle = Optimizer(Problem.from_yaml(CONFIG / "toy.yaml"), seed=5, initial_evaluations=3)
+    offset = 0.3
+    for index in range(6):
+        asked = loop.ask()
+        x = {item.name: item.value for item in asked.setpoint}
+        assert x == oracle.ask()
+        readbacks = {"x1": x["x1"] - offset * x["x1"]} if index != 1 else {"x1": math.nan}
+        named = [msg.NamedValue(name=n, value=v) for n, v in readbacks.items()]
+        told = loop.tell(asked.setpoint, readbacks=named, run_id=asked.run_id, index=index)
+        assert told.success, told.message
+        oracle.tell(x, toy_values(EvaluateSetpoint.Goal(setpoint=asked.setpoint)), readbacks)
+        assert [item.name for item in told.evaluation.readbacks] == ["x1"]
+    kept = [r["readbacks"]["x1"] for r in journal(tmp_path, asked.run_id)[1:]]
+    assert kept[1] is None
+    assert kept[5] == readbacks["x1"]
+
+
 def test_what_is_told_wrong_teaches_nothing(
     start_tuner: Callable[..., NodeProcess], loop: Loop
 ) -> None:
@@ -120,6 +141,13 @@ def test_what_is_told_wrong_teaches_nothing(
         told = loop.tell(setpoint, diagnostics)
         assert not told.success
         assert sentence in told.message
+    for readbacks, sentence in (
+        (twice, "the list of readbacks names 'x1' twice"),
+        ([msg.NamedValue(name="f1")], "the readbacks name 'f1'; allowed are x1, x2"),
+    ):
+        told = loop.tell({"x1": 0.0, "x2": 0.0}, readbacks=readbacks)
+        assert not told.success
+        assert told.message == sentence
     assert loop.ask().index == 0
 
 

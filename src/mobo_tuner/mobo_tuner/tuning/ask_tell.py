@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 from rclpy.task import Future
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_msgs_py.srv import Ask, Tell
-from mobo_tuner.core import Problem
+from mobo_tuner.core import Problem, ProblemError
 from mobo_tuner.ros.conversions import (
     measurements_of,
     named_values,
     problem_units,
     seconds,
     unique_values,
+    values_of,
 )
 from mobo_tuner.ros.machine_client import Answer
 from mobo_tuner.runs.run_id import new_run_id
@@ -73,9 +75,11 @@ class AskTell:
         try:
             setpoint = unique_values("the set-point", request.setpoint)
             unique_values("the list of diagnostics", request.diagnostics)
+            readbacks = unique_values("the list of readbacks", request.readbacks)
             self._check_run(request)
             run = await self._current()
             run.problem.normalize(setpoint)
+            _check_readbacks(run.problem, readbacks)
             message = await self._parts.worker.submit(self._learn, run, setpoint, request)
         except Exception as error:  # as above
             if request.run_id:
@@ -107,7 +111,7 @@ class AskTell:
         if request.run_id and request.index != run.index:
             why = "was told already" if request.index < run.index else "was not asked for yet"
             raise ValueError(f"evaluation {request.index} of run '{run.run_id}' {why}")
-        return run.learn(self._suggestion(setpoint), self._outcome(run, request.diagnostics))
+        return run.learn(self._suggestion(setpoint), self._outcome(run, request))
 
     async def _current(self) -> Run:
         """The run of whoever asks and tells.
@@ -154,20 +158,33 @@ class AskTell:
             return asked
         return Suggestion(setpoint, "operator", 0.0)
 
-    def _outcome(self, run: Run, diagnostics: Sequence[msg.NamedValue]) -> Outcome:
+    def _outcome(self, run: Run, request: Tell.Request) -> Outcome:
         answer = Answer(
             EvaluateSetpoint.Result.NONE,
             "",
             self._parts.now(),
-            diagnostics=measurements_of(diagnostics),
+            readbacks=values_of(request.readbacks),
+            diagnostics=measurements_of(request.diagnostics),
         )
         missing = missing_diagnostics(run.problem, answer)
         if not missing:
             return Outcome(answer, 1)
-        failed = Answer(
-            EvaluateSetpoint.Result.INVALID_MEASUREMENT,
-            f"the client did not measure {', '.join(missing)}",
-            answer.stamp,
-            diagnostics=answer.diagnostics,
+        failed = replace(
+            answer,
+            error_code=EvaluateSetpoint.Result.INVALID_MEASUREMENT,
+            error_msg=f"the client did not measure {', '.join(missing)}",
         )
         return Outcome(failed, 1)
+
+
+def _check_readbacks(problem: Problem, names: Iterable[str]) -> None:
+    """Check that readbacks are of variables.
+
+    Raises:
+        ProblemError: one is not.
+    """
+    for name in names:
+        if name not in problem.variable_names:
+            raise ProblemError(
+                f"the readbacks name '{name[:80]}'; allowed are {', '.join(problem.variable_names)}"
+            )
