@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -186,6 +187,9 @@ def test_goals_that_cannot_be_served_and_a_cancel_on_the_way(
     client.cancel()
     [*_, point] = client.wait().pareto_front.points
 
+    # Another folder's run, which is whole but none of this tuner's.
+    shutil.copytree(tmp_path / "runs" / "short", tmp_path / "elsewhere" / "linked")
+    (tmp_path / "runs" / "linked").symlink_to(tmp_path / "elsewhere" / "linked")
     some = dict.fromkeys(values(point.objectives), 1.0)
     for goal, sentence in (
         (Goal(choice=Goal.BY_INDEX, index=999), "index is 999; the front has "),
@@ -197,6 +201,7 @@ def test_goals_that_cannot_be_served_and_a_cancel_on_the_way(
         (Goal(choice=Goal.BY_WEIGHTS, weights=named({"f9": 1.0})), "weights name eps_x, dE, f9"),
         (Goal(run_id="none", index=0), "none"),
         (Goal(run_id="../x", index=0), "../x"),
+        (Goal(run_id="linked", index=0), "the run 'linked' is a link out of "),
         (Goal(choice=Goal.BY_WEIGHTS, weights=named(some) * 2), "the list of weights names "),
         (Goal(choice=Goal.BY_WEIGHTS, weights=named(some | {"dE": -1.0})), "weights are "),
     ):
