@@ -12,12 +12,14 @@ import signal
 import subprocess
 import sys
 import time
+import uuid
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import rclpy
+from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -56,6 +58,8 @@ class Client:
         self._executor.add_node(self._node)
         self._tune = ActionClient(self._node, Tune, "tune")
         self._apply = ActionClient(self._node, ApplySetpoint, "apply_setpoint")
+        # Made last: whoever answers it has discovered all of the clients above.
+        self._probe = self._node.create_client(CancelGoal, "tune/_action/cancel_goal")
         self.heard: list[msg.Evaluation] = []
         self.started: set[bytes] = set()
         self._recorded: set[str] = set()
@@ -109,8 +113,26 @@ class Client:
         """
         for client, what in ((self._tune, "the tuner"), (self._apply, "the machine")):
             self.spin_until(client.server_is_ready, what)
+        self._meet_tuner()
         self.spin_until(lambda: self._node.count_publishers("evaluation"), "the tuner's topics")
         self.spin_until(lambda: "/evaluation" in self._recorded, "the recorder")
+
+    def _meet_tuner(self) -> None:
+        """Ask for the end of nobody's goal until that is answered: what is sent before gets lost.
+
+        Raises:
+            HangError: the tuner does not answer.
+        """
+        request = CancelGoal.Request()
+        request.goal_info.goal_id.uuid = list(uuid.uuid4().bytes)
+        deadline = time.monotonic() + TIMEOUT
+        while time.monotonic() < deadline:
+            answer = self._probe.call_async(request)
+            self.spin_while(lambda a=answer: not a.done(), 1.0)  # type: ignore[misc]
+            if answer.done():
+                return
+            self._probe.remove_pending_request(answer)
+        raise HangError("the tuner does not answer")
 
     def begin(self, goal: Tune.Goal) -> None:
         """Begin a run.

@@ -25,7 +25,7 @@ PARTS = {".action": ("Goal", "Result", "Feedback"), ".srv": ("Request", "Respons
 TOPICS = """| name | type | quality of service | what for |
 |---|---|---|---|
 | `problem` | `Problem` | latched | what is tuned; once per run |
-| `evaluation` | `Evaluation` | reliable, 100 deep | exactly one per evaluation |
+| `evaluation` | `Evaluation` | kept | exactly one per evaluation |
 | `pareto_front` | `ParetoFront` | latched | the front, whenever it grows |
 | `status` | `TunerStatus` | latched, and at 1 Hz | what the tuner is doing |
 | `recorder_status` | `RecorderStatus` | latched, and at 1 Hz | what the recorder holds |
@@ -51,8 +51,9 @@ TOPICS = """| name | type | quality of service | what for |
 | `go_to_working_point` | action `GoToWorkingPoint` | | served by the tuner while no run goes on |
 | `ask`, `tell` | services `Ask`, `Tell` | | served by the tuner, for clients that own their loop |
 
-Latched means reliable, transient local, one deep: a late subscriber gets the last message at once. All names are
-relative: they follow namespaces and remappings."""
+Latched means reliable, transient local, one deep: a late subscriber gets the last message at once. Kept means the same,
+1000 deep: a late subscriber that asks for transient local, as a recorder does, gets the evaluations before it, too. All
+names are relative: they follow namespaces and remappings."""
 
 
 def interfaces() -> str:

@@ -23,9 +23,12 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
+from mobo_msgs_py.action import Tune
 from mobo_msgs_py.msg import Evaluation, NamedValue, Problem, RecorderStatus, Variable
 from mobo_tuner.ros.qos import LATCHED, STREAM
+from mobo_tuner.runs.rebuild import records_of_bag
 from ros_support import NodeProcess, NodeStarter
+from tuning_support import GoalClient, journal
 
 SpinUntil = Callable[..., None]
 
@@ -148,6 +151,30 @@ def test_every_message_is_in_the_bag_after_a_signal(
     assert information["storage_identifier"] == "mcap"
     assert information["relative_file_paths"] == ["bag.mcap"]
     assert sorted(p.name for p in recording.bag.iterdir()) == ["bag.mcap", "metadata.yaml"]
+
+
+def test_a_late_recorder_has_the_evaluations_before_it_too(
+    record: Callable[..., Recording],
+    start_tuner: Callable[..., NodeProcess],
+    start_machine: Callable[..., NodeProcess],
+    client: GoalClient,
+    spin_until: SpinUntil,
+    tmp_path: Path,
+) -> None:
+    start_machine()
+    start_tuner("initial_evaluations:=130")
+    client.send(Tune.Goal(run_id="early", evaluations=130))  # more than a stream keeps
+    assert client.wait(60.0).evaluations == 130
+    recording = record()
+    spin_until(
+        lambda: {"/evaluation", "/problem"} <= set(recording.status.topics), "the tuner's topics"
+    )
+    spin_until(lambda: recording.status.messages >= 130, "the evaluations")
+    assert recording.process.stop() == 0
+    kept = [r for r in journal(tmp_path, "early") if r["type"] == "evaluation"]
+    rebuilt = [r for r in records_of_bag(recording.bag) if r["type"] == "evaluation"]
+    assert rebuilt == kept
+    assert len(read_with_mcap(recording.bag)["/evaluation"]) == 130
 
 
 def test_the_bag_tells_types_hashes_and_offered_qos(

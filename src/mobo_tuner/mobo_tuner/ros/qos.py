@@ -17,3 +17,11 @@ STREAM = QoSProfile(
     durability=DurabilityPolicy.VOLATILE,
 )
 """Events: every one counts."""
+
+KEPT = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1000,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""Events of which none may be missed: a late subscriber that asks for them gets those before it, too."""

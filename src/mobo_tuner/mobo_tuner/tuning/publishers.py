@@ -8,22 +8,23 @@ from std_msgs.msg import Float64
 
 from mobo_msgs_py import msg
 from mobo_tuner.core.problem import Problem
-from mobo_tuner.ros.qos import LATCHED, STREAM
+from mobo_tuner.ros.qos import KEPT, LATCHED, STREAM
 
 
 class TunerPublishers:
     """The tuner's topics, all relative to its namespace.
 
-    `problem`, `status` and `pareto_front` are latched. Beside `evaluation` stands one flat topic
-    `plot/<name>` per variable, diagnostic and figure, for plotting tools that cannot look into
-    arrays.
+    `problem`, `status` and `pareto_front` are latched. `evaluation` is kept for subscribers that
+    come late, for a recorder may take seconds to discover a tuner whose run has begun. Beside it
+    stands one flat topic `plot/<name>` per variable, diagnostic and figure, for plotting tools that
+    cannot look into arrays.
     """
 
     def __init__(self, node: Node, problem: Problem) -> None:
         self._problem = node.create_publisher(msg.Problem, "problem", LATCHED)
         self._status = node.create_publisher(msg.TunerStatus, "status", LATCHED)
         self._front = node.create_publisher(msg.ParetoFront, "pareto_front", LATCHED)
-        self._evaluation = node.create_publisher(msg.Evaluation, "evaluation", STREAM)
+        self._evaluation = node.create_publisher(msg.Evaluation, "evaluation", KEPT)
         names = dict.fromkeys(
             [
                 *problem.variable_names,
