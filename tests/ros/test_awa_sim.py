@@ -135,7 +135,7 @@ def test_it_does_one_thing_at_a_time_and_stops_when_told(
     client.cancel()
     started = time.monotonic()
     result = client.wait()
-    assert time.monotonic() - started < 0.5
+    assert time.monotonic() - started < 1.0
     assert result.error_code == RESULT.CANCELED
     where = {r.name: r.value for r in result.readbacks}["K1"]
     assert 475.0 < where < 500.0

@@ -247,7 +247,7 @@ def test_a_fault_amid_a_move_ends_it(
     result = machine.client.wait()
     assert (result.error_code, sentence in result.error_msg) == (code, True), result.error_msg
     if fault == "no_permit":
-        assert time.monotonic() - asked < 0.5
+        assert time.monotonic() - asked < 1.0
     # Nothing jumps, whatever happens: neither on the ramp nor when it is held.
     positions = [0.0, *(c.position[0] for c in machine.commands)]
     largest = max(abs(b - a) for a, b in itertools.pairwise(positions))
@@ -266,7 +266,7 @@ def test_a_cancel_holds_the_ramp_where_it_is(start: Callable[..., Bridged]) -> N
     machine.client.cancel()
     asked = time.monotonic()
     result = machine.client.wait()
-    assert time.monotonic() - asked < 0.5
+    assert time.monotonic() - asked < 1.0
     assert result.error_code == RESULT.CANCELED
     sent = len(machine.commands)
     where = values(result.readbacks)

@@ -123,7 +123,7 @@ def test_a_paused_run_is_canceled_or_stopped_at_once(
     desk.client.cancel()
     started = time.monotonic()
     assert desk.client.wait().error_code == Tune.Result.CANCELED
-    assert time.monotonic() - started < 1.0
+    assert time.monotonic() - started < 2.0  # one, and one more for a busy computer
 
     desk.machine.goals.clear()
     desk.start(run_id="two", evaluations=50)  # and it does not begin paused
