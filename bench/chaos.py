@@ -131,7 +131,9 @@ class Chaos:
         if scene.bag_is_old:
             if scene.stop("recorder"):
                 outcome.corrupt.append("the recorder did not end well")
-            outcome.corrupt += bag_faults(scene.bag, scene.runs_dir, scene.recorded)
+            outcome.corrupt += bag_faults(
+                scene.bag, scene.runs_dir, scene.recorded, whole=scene.recorded
+            )
         scene.start_missing(outcome.policy, speed)
         outcome.policy = scene.on_client_lost
         before = scene.client.where()
@@ -153,7 +155,7 @@ class Chaos:
             return
         outcome.evaluations = len(scene.client.heard)
         if outcome.target == "recorder":
-            outcome.corrupt += bag_faults(scene.bag, scene.runs_dir, ())
+            outcome.corrupt += bag_faults(scene.bag, scene.runs_dir, scene.recorded)
         else:
             scene.start_machine(speed)
         result = scene.client.result()
@@ -272,7 +274,7 @@ class Chaos:
         told = evaluations(read_journal(folder)) if kept else []
         outcome.evaluations = len(told)
         if (folder / "bag").exists():
-            outcome.corrupt += bag_faults(folder / "bag", folder.parent, ())
+            outcome.corrupt += bag_faults(folder / "bag", folder.parent, [folder.name])
         words = ("resume", folder.name, "--runs-dir", str(folder.parent))
         process = _mobo(*words, "--evaluations", str(BUDGET + 2))
         try:
@@ -293,7 +295,8 @@ class Chaos:
         else:
             after = folder.with_name(f"{folder.name}-2")
             outcome.different += _differences(told, read_journal(after))
-            outcome.corrupt += bag_faults(after / "bag", folder.parent, [after.name])
+            names = [after.name]
+            outcome.corrupt += bag_faults(after / "bag", folder.parent, names, whole=names)
 
 
 def _differences(told: list[Record], resumed: list[Record]) -> list[str]:

@@ -31,12 +31,16 @@ def differing_suggestions(records: list[Record]) -> list[int]:
     return [c.index for c in compare(History.from_records(records)) if c.differs]
 
 
-def bag_faults(bag: Path, runs_dir: Path, whole: Collection[str]) -> list[str]:
+def bag_faults(
+    bag: Path, runs_dir: Path, recorded: Collection[str], whole: Collection[str] = ()
+) -> list[str]:
     """What is wrong with a bag, one sentence each; nothing where all is well.
 
     Args:
         bag: its folder.
         runs_dir: of the runs that it recorded, with their journals.
+        recorded: ids of the runs that began since the bag did. Of those before, which the tuner
+            tells late subscribers of, it may hold evaluations without their problem.
         whole: ids of the runs of which nothing may be missing.
     """
     faults = []
@@ -47,7 +51,7 @@ def bag_faults(bag: Path, runs_dir: Path, whole: Collection[str]) -> list[str]:
     if mcap != rosbags:
         faults.append(f"of {bag.name} mcap reads {mcap} messages and rosbags {rosbags}")
     for run_id, run in runs_of_bag(bag).items():
-        if not run.outline and not run.evaluations:
+        if not run.outline and not (run.evaluations and run_id in recorded):
             continue  # it was heard of, no more
         folder = runs_dir / run_id
         try:
