@@ -13,7 +13,7 @@ from tools.processes import Interrupted, Processes, describe_status
 
 EXIT_LIMIT = 5.0  # [s] from a signal to the end of everything
 _FAREWELL = 5.0  # [s] for the others to finish of themselves after a node has died
-_STOP_PATIENCE = 3.0  # [s] for a node to end when asked to, at the end of a run
+_STOP_PATIENCE = 4.0  # [s] for a node to end when asked to; one that hangs says where after 3.5 s
 _HURRIED_PATIENCE = 1.3  # [s] the same after a signal, once for each of the three steps
 _REPORT_TIMEOUT = 120.0  # [s]
 _RESERVE = 0.4  # [s] of EXIT_LIMIT kept for this script's own end

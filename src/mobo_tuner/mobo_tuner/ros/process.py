@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Sequence
 from types import FrameType
@@ -111,9 +111,9 @@ class _StopRequest:
         if self.requested:
             os._exit(128 + number)
         self.requested = True
-        watchdog = threading.Timer(EXIT_TIMEOUT, os._exit, args=(128 + number,))
-        watchdog.daemon = True
-        watchdog.start()
+        # On a thread that needs no interpreter, so that the process ends, and says where it was, also
+        # where a library never gives up the interpreter's lock.
+        faulthandler.dump_traceback_later(EXIT_TIMEOUT, exit=True)
 
 
 def _first_line(error: BaseException) -> str:
