@@ -33,21 +33,21 @@ if not (3, 11) <= sys.version_info[:2] <= (3, 13) or sys.platform != "linux":
         f"this is Python {sys.version.split()[0]} on {sys.platform}"
     )
 
-from tools import tuning
-from tools.command_line import UsageError, make_parser
-from tools.environment import (
+from launcher import conductor
+from launcher.command_line import UsageError, make_parser
+from launcher.environment import (
     DEVELOPMENT_STAGES,
     STAGES,
     Environment,
     SetupError,
     clean_environment,
 )
-from tools.processes import Interrupted, Processes
-from tools.ros_domain import DomainError, RosDomain
-from tools.run_folder import JOURNAL_FILE, RunFolder, RunFolderError, process_start, table
+from launcher.processes import Interrupted, Processes
+from launcher.ros_domain import DomainError, RosDomain
+from launcher.run_folder import JOURNAL_FILE, RunFolder, RunFolderError, process_start, table
 
 ROOT = Path(__file__).resolve().parent
-NODES = (tuning.MACHINE, tuning.TUNER, tuning.RECORDER, tuning.CONSOLE)
+NODES = (conductor.MACHINE, conductor.TUNER, conductor.RECORDER, conductor.CONSOLE)
 CHECK_TIMEOUT = 60.0  # [s] for a configuration, or a report
 LONG = 3600.0  # [s] for what takes as long as a run's suggestions did
 TEST_TIMEOUT = 3600.0  # [s]
@@ -175,12 +175,12 @@ def carry_out(
         "evaluations": options.evaluations,
         "resume_from": resumed_from,
     }
-    ending = tuning.Ending("failed", "the run failed: mobo.py met an error of its own", 1)
+    ending = conductor.Ending("failed", "the run failed: mobo.py met an error of its own", 1)
     try:
         folder.record(facts)
         ending = tune(processes, environment.python, config, folder, domain, values)
     except Interrupted as interruption:
-        ending = tuning.interrupted(interruption)
+        ending = conductor.interrupted(interruption)
     finally:
         facts |= {"state": ending.state, "reason": ending.reason, "ended": now()}
         folder.record(facts)
@@ -196,14 +196,14 @@ def tune(
     folder: RunFolder,
     domain: RosDomain,
     values: dict[str, object],
-) -> tuning.Ending:
+) -> conductor.Ending:
     """Run the nodes until the console is done, and make the report."""
     used = folder.path / "config.yaml"
     used.write_bytes(config.read_bytes())
-    launch = tuning.Launch(
+    launch = conductor.Launch(
         commands={node.name: node.command(python, used, values) for node in NODES},
-        foreground=tuning.CONSOLE.name,
-        last=tuning.RECORDER.name,
+        foreground=conductor.CONSOLE.name,
+        last=conductor.RECORDER.name,
         environment=clean_environment(
             **domain.environment,
             **THREADS,
@@ -215,14 +215,14 @@ def tune(
     )
     print(f"run {folder.run_id} in ROS domain {domain.id}; to join from another terminal:")
     print("  export " + " ".join(f"{k}={v}" for k, v in domain.environment.items()), flush=True)
-    conductor = tuning.Conductor(processes, launch)
-    ending = conductor.run()
+    tuning_run = conductor.Conductor(processes, launch)
+    ending = tuning_run.run()
     if folder.has_journal or ending.state == "finished":
-        failure = conductor.report(
+        failure = tuning_run.report(
             [str(python), "-P", "-m", "mobo_tuner.runs.report", str(folder.path)]
         )
         if failure and ending.state == "finished":
-            return tuning.Ending("failed", failure, 1)
+            return conductor.Ending("failed", failure, 1)
     return ending
 
 
@@ -273,7 +273,7 @@ def test(arguments: list[str]) -> int:
         try:
             status = processes.wait(process, TEST_TIMEOUT)
         except Interrupted:
-            processes.stop([process], patience=tuning.EXIT_LIMIT - 1.5)
+            processes.stop([process], patience=conductor.EXIT_LIMIT - 1.5)
             raise
     if status is None:
         raise RunError(f"the tests were not done after {TEST_TIMEOUT:.0f} s")

@@ -4,7 +4,7 @@ Prints one row for each front: boxes, memory, time to build, time to add a point
 candidate. With `--compile`, also the time from import to the first answers in a new process, with
 an empty and with a filled cache of compiled code.
 
-    python bench/acquisition.py --objectives 7 --points 500
+    python -m bench.acquisition --objectives 7 --points 500
 """
 
 from __future__ import annotations

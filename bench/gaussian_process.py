@@ -1,6 +1,6 @@
 """Time of fits and predictions of seven Gaussian processes over six inputs, on one thread.
 
-    python bench/gaussian_process.py [--sizes 20 100 300 500] [--scikit-learn]
+    python -m bench.gaussian_process [--sizes 20 100 300 500] [--scikit-learn]
 
 Prints, for each number of evaluations, seconds of processor time for all seven outputs together: a
 first training, a training again with ten evaluations more, adding one evaluation, and predictions

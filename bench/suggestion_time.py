@@ -1,12 +1,12 @@
 """Time and memory of one suggestion in seven objectives, with as many evaluations told.
 
-The archive is a run of the optimiser itself on the AWA surrogate ("awa": kept in bench/.cache with the times of its
+The archive is a run of the optimiser itself on the AWA surrogate ("awa": kept in experiments/.cache with the times of its
 whole loop, made again when the surrogate changes), points near a known Pareto set ("smooth"), or points of a concave
 sphere ("sphere": the front of most boxes).
 Then a number of suggestions in a row is timed, each told what the machine answers; trainings that fall due are
 included.
 
-    python bench/suggestion_time.py --archive awa --acquisitions ehvi ucb_hvi
+    python -m bench.suggestion_time --archive awa --acquisitions ehvi ucb_hvi
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ import argparse
 import resource
 
 import numpy as np
-from archives import NAMES, archive, awa_record
-from problems import Run, resume
+
+from experiments.archives import NAMES, archive, awa_record
+from experiments.problems import Run, resume
 
 
 def report(name: str, timed: Run) -> None:

@@ -15,8 +15,8 @@ PACKAGE = Path(mobo_tuner.__file__).parent
 SIMULATOR = Path(awa_sim_node.__file__).parent
 ROS_PACKAGES = ("rclpy", "rcl_interfaces", "mobo_msgs_py", "std_msgs", "builtin_interfaces")
 # From the bottom to the top: each imports itself and those before it.
-LAYERS = ("core", "bridge", "ros", "runs", "tuning", "nodes")
-WITHOUT_ROS = ("core", "bridge", "runs")
+LAYERS = ("core", "ros", "machine", "bridge", "runs", "tuner", "displays", "nodes")
+WITHOUT_ROS = ("core", "runs")
 
 
 def test_the_core_works_where_ros_cannot_be_imported() -> None:

@@ -11,7 +11,7 @@ import pytest
 from mobo_tuner.runs.run_id import check_run_id
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCES = [ROOT / "mobo.py", *(ROOT / "tools").rglob("*.py"), *(ROOT / "src").rglob("*.py")]
+SOURCES = [ROOT / "mobo.py", *(ROOT / "launcher").rglob("*.py"), *(ROOT / "src").rglob("*.py")]
 MODULES = {"pickle", "cPickle", "dill", "marshal", "shelve", "joblib", "cloudpickle"}
 BUILT_IN = {"eval", "exec", "compile", "__import__"}
 SAFE_LOADERS = {"_UniqueKeyLoader", "SafeLoader", "CSafeLoader"}

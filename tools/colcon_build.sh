@@ -51,7 +51,7 @@ import sys
 import time
 
 import rclpy
-from tools.ros_domain import RosDomain
+from launcher.ros_domain import RosDomain
 
 with RosDomain() as domain:
     os.environ |= domain.environment

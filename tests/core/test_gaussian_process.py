@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 import pytest
-from gaussian_process_data import KERNELS, sample, smooth
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern
 
 from mobo_tuner.core.gaussian_process import GaussianProcess, GaussianProcessSettings
+from tests.core.gaussian_process_data import KERNELS, sample, smooth
 
 
 def _assert_gradients(model, x, rtol=1e-4):

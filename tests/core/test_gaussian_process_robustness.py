@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from gaussian_process_data import KERNELS, quick, sample
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mobo_tuner.core.gaussian_process import GaussianProcess, GaussianProcessSettings
+from tests.core.gaussian_process_data import KERNELS, quick, sample
 
 
 @pytest.mark.parametrize("value", [0.0, 5.0, -1e-9, 1e9])

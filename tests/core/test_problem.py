@@ -13,8 +13,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mobo_tuner.core.parameter_file import load_yaml
 from mobo_tuner.core.problem import Problem, ProblemError
+from mobo_tuner.files import load_yaml
 
 MAPPING: dict[str, Any] = {
     "variables": {

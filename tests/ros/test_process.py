@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from mobo_tuner.ros.process import EXIT_TIMEOUT
-from ros_support import NodeProcess
+from tests.support.processes import NodeProcess
 
 NODE = """
 import ctypes, sys, time

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from bench.lived_run import LivedRun, toy, toy_optimizer
 from mobo_tuner.core import ProblemError
 from mobo_tuner.runs import replay
 from mobo_tuner.runs.history import READBACK, History
 from mobo_tuner.runs.journal import FILE_NAME, JournalError, read_journal
 from mobo_tuner.runs.saved_state import FILE_NAME as STATE_NAME
 from mobo_tuner.runs.saved_state import SavedState
+from robustness.lived_run import LivedRun, toy, toy_optimizer
 
 LENGTH = 14
 SEED = 7  # with failures, an operator's set-points and two changes

@@ -17,7 +17,7 @@ from mobo_tuner.core.problem import Problem
 from mobo_tuner.runs import report
 from mobo_tuner.runs.journal import FILE_NAME, Journal, JournalError, read_journal
 from mobo_tuner.runs.recorded_run import RecordedRun
-from mobo_tuner.runs.report_figures import (
+from mobo_tuner.runs.report.figures import (
     front_figure,
     hypervolume_figure,
     product_of_units,

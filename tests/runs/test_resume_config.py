@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 import yaml
 
-from bench.lived_run import TOY, LivedRun, toy, toy_optimizer
 from mobo_tuner.core import Problem, ProblemError
-from mobo_tuner.core.parameter_file import load_yaml
+from mobo_tuner.files import load_yaml
 from mobo_tuner.runs.journal import JournalError
 from mobo_tuner.runs.resume_config import main, resume_config
+from robustness.lived_run import TOY, LivedRun, toy, toy_optimizer
 
 OTHERS = {"awa_sim": {"ros__parameters": {"speed": 100.0}}, "tuner": {"ros__parameters": {}}}
 CONFIG = {"/**": {"ros__parameters": TOY}, **OTHERS}

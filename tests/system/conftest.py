@@ -11,7 +11,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from mobo_run import ROOT, Run
+
+from tests.support.mobo_run import ROOT, Run
 
 
 @pytest.fixture

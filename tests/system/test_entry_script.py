@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fake_project import ROOT, TIMEOUT, FakeProject, wait_until
 
-from tools.run_folder import process_start
-from tools.tuning import EXIT_LIMIT, Program
+from launcher.conductor import EXIT_LIMIT, Program
+from launcher.run_folder import process_start
+from tests.support.fake_project import ROOT, TIMEOUT, FakeProject, wait_until
 
 ALL = ("machine", "tuner", "recorder", "console")
 

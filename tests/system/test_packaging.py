@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from tools.environment import clean_environment
+from launcher.environment import clean_environment
 
 SOURCE = Path(__file__).resolve().parents[2] / "src"
 EXECUTABLES = {

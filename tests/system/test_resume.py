@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from mobo_run import ROOT, TIMEOUT, Run, mcap_messages
+
+from tests.support.mobo_run import ROOT, TIMEOUT, Run, mcap_messages
 
 
 def mobo(*words: object, status: int | None = 0) -> tuple[str, str]:

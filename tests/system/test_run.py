@@ -12,8 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from mobo_run import ROOT, TIMEOUT, Run, mcap_messages, rosbags_count
 from rosbags.highlevel import AnyReader
+
+from tests.support.mobo_run import ROOT, TIMEOUT, Run, mcap_messages, rosbags_count
 
 EXIT_LIMIT = 5.0  # [s] from a signal to the end, as promised
 

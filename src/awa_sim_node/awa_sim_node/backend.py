@@ -20,8 +20,7 @@ from awa_sim_node.machine import (
 from awa_sim_node.machine.diagnostics import Reading
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint
-from mobo_tuner.ros.conversions import named_values
-from mobo_tuner.ros.machine_backend import (
+from mobo_tuner.machine.backend import (
     MEASURING,
     RAMPING,
     SETTLING,
@@ -29,6 +28,7 @@ from mobo_tuner.ros.machine_backend import (
     Measurement,
     Operation,
 )
+from mobo_tuner.ros.conversions import named_values
 from mobo_tuner.ros.waiting import first_of
 
 STEP_PERIOD = 0.1  # [s] of wall time, at most

@@ -11,9 +11,12 @@ from typing import Any
 
 from awa_sim_node.machine import Mode, behaviour_of, describe
 from awa_sim_node.parameters import AWA_SIM, behaviour_specs
-from mobo_tuner.core.parameter_file import load_yaml
 from mobo_tuner.core.problem import Problem, ProblemError
-from mobo_tuner.ros.parameters import CONSOLE, RECORDER, TUNER, ParameterSpec, check_section
+from mobo_tuner.errors import UserError
+from mobo_tuner.files import load_yaml
+from mobo_tuner.nodes.parameters import CONSOLE, RECORDER
+from mobo_tuner.ros.parameters import ParameterSpec, check_section
+from mobo_tuner.tuner.parameters import TUNER
 
 NODES: Mapping[str, tuple[ParameterSpec, ...]] = {
     "tuner": TUNER,
@@ -79,7 +82,7 @@ def main() -> int:
         return 2
     try:
         check(sys.argv[1])
-    except ProblemError as error:
+    except UserError as error:
         print(error, file=sys.stderr)
         return 2
     return 0

@@ -16,8 +16,8 @@ from std_srvs.srv import Trigger
 
 from awa_sim_node.backend import SimulatedBackend
 from mobo_msgs_py.action import EvaluateSetpoint
-from mobo_tuner.ros.machine_backend import Failure
-from mobo_tuner.ros.machine_server import MachineServer
+from mobo_tuner.machine.backend import Failure
+from mobo_tuner.machine.server import MachineServer
 from mobo_tuner.ros.qos import LATCHED, STREAM
 
 WARNING_PERIOD = 1.0  # [s] between two warnings of a device for one kind of reason

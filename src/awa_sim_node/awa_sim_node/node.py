@@ -24,9 +24,9 @@ from awa_sim_node.machine import EvaluationResult, SimulatedMachine, behaviour_o
 from awa_sim_node.machine.behaviour import Mode
 from awa_sim_node.parameters import AWA_SIM, behaviour_specs
 from mobo_msgs_py.action import EvaluateSetpoint
+from mobo_tuner.machine.backend import Failure
+from mobo_tuner.machine.server import MachineServer
 from mobo_tuner.ros.lifecycle import refuse_unknown_transitions
-from mobo_tuner.ros.machine_backend import Failure
-from mobo_tuner.ros.machine_server import MachineServer
 from mobo_tuner.ros.parameters import declare
 from mobo_tuner.ros.process import StartError, exit_process, run_node
 

@@ -1,10 +1,18 @@
-"""Files that are whole at every moment."""
+"""Files: written whole or not at all, and YAML whose mistakes are named in one sentence."""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 from pathlib import Path
+from typing import Any
+
+import yaml
+
+from mobo_tuner.errors import FileError
+
+MAX_VALUES = 100_000  # in a file, those that aliases repeat included
 
 
 def replace_file(path: Path, content: bytes) -> None:
@@ -21,3 +29,63 @@ def replace_file(path: Path, content: bytes) -> None:
         with contextlib.suppress(OSError):
             temporary.unlink()
         raise
+
+
+def load_yaml(path: str | Path) -> dict[str, Any]:
+    """Read a YAML file that holds a mapping.
+
+    Raises:
+        FileError: If the file cannot be read, is not YAML, repeats a key or holds no mapping.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise FileError(f"the file '{path}' cannot be read: {reason}") from None
+    try:
+        content = yaml.load(text, Loader=_UniqueKeyLoader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f" in line {mark.line + 1}" if mark else ""
+        what = getattr(error, "problem", None) or "cannot be parsed"
+        raise FileError(f"the file '{path}' is not valid YAML{where}: {what}") from None
+    except RecursionError:
+        raise FileError(f"the file '{path}' is nested too deeply") from None
+    except (AttributeError, ArithmeticError, TypeError, ValueError) as error:
+        # Of a value that is none of the type it names, as in `!!timestamp x`.
+        raise FileError(f"the file '{path}' is not valid YAML: {error}") from None
+    if _count(content, {}) > MAX_VALUES:
+        raise FileError(f"the file '{path}' holds more than the {MAX_VALUES} values allowed")
+    if not isinstance(content, dict):
+        raise FileError(f"the file '{path}' must hold a mapping of parameters")
+    return content
+
+
+def _count(value: Any, known: dict[int, float]) -> float:
+    """Number of values within, each alias written out; infinite where one holds itself.
+
+    A few aliases of aliases stand for more than any computer can write out.
+    """
+    if not isinstance(value, dict | list | tuple | set):
+        return 1.0
+    if id(value) not in known:
+        known[id(value)] = math.inf  # until it is known
+        inside = [*value, *value.values()] if isinstance(value, dict) else value
+        known[id(value)] = 1.0 + sum(_count(item, known) for item in inside)
+    return known[id(value)]
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """YAML loader that refuses a key given twice, of which PyYAML would silently drop the first."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key_node, _ in node.value:
+            key = getattr(key_node, "value", None)
+            if isinstance(key, str):
+                if key in seen:
+                    raise yaml.constructor.ConstructorError(
+                        None, None, f"the key '{key}' stands twice", key_node.start_mark
+                    )
+                seen.add(key)
+        return super().construct_mapping(node, deep)

@@ -13,7 +13,7 @@ from typing import Any
 from mobo_tuner.bridge.averaging import OutlierRule
 from mobo_tuner.bridge.field_path import FieldPath, parse_field_path
 from mobo_tuner.bridge.section import MappingError, Section
-from mobo_tuner.core.parameter_file import load_yaml
+from mobo_tuner.files import load_yaml
 
 KINDS = {"topic": "msg", "service": "srv", "action": "action"}
 QOS = ("reliable", "best_effort", "latched")

@@ -7,6 +7,8 @@ import reprlib
 from collections.abc import Mapping
 from typing import Any
 
+from mobo_tuner.errors import UserError
+
 MAX_SHOWN = 60  # characters of a value that a message repeats
 _TOO_LARGE = 1e300
 _REPR = reprlib.Repr()  # limited in depth, too: a small file can hold a huge tree by aliases
@@ -14,8 +16,8 @@ _REPR.maxstring = _REPR.maxother = _REPR.maxlong = MAX_SHOWN
 _REPR.maxlevel = 2
 
 
-class MappingError(ValueError):
-    """A mapping file that cannot be used; the message is one sentence for the user."""
+class MappingError(UserError):
+    """A mapping file that cannot be used."""
 
 
 class Section:

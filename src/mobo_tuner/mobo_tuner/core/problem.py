@@ -19,7 +19,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mobo_tuner.core.parameter_file import ProblemError, load_yaml
+from mobo_tuner.errors import FileError, UserError
+from mobo_tuner.files import load_yaml
 
 __all__ = [
     "Array",
@@ -36,6 +37,10 @@ Array = NDArray[np.float64]
 
 SECTIONS = ("variables", "objectives", "constraints", "observables")
 _NAME = re.compile(r"(?!.*__)[A-Za-z][A-Za-z0-9_]*")
+
+
+class ProblemError(UserError):
+    """A problem, a choice of its optimiser or a value told to it that is not allowed."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +122,11 @@ class Problem:
         Raises:
             ProblemError: the file cannot be read, or what it holds is not a problem.
         """
-        return cls.from_dict(load_yaml(path))
+        try:
+            content = load_yaml(path)
+        except FileError as error:
+            raise ProblemError(str(error)) from None
+        return cls.from_dict(content)
 
     @classmethod
     def from_dict(cls, mapping: Mapping[str, Any]) -> Problem:

@@ -14,8 +14,10 @@ from rclpy.task import Future
 
 from mobo_msgs_py.action import Tune
 from mobo_msgs_py.msg import Evaluation, ParetoFront, Problem, RecorderStatus, TunerStatus
-from mobo_tuner.nodes.console_view import RunProgress, make_view
-from mobo_tuner.ros.parameters import CONSOLE, declare
+from mobo_tuner.displays.console_view import make_view
+from mobo_tuner.displays.progress import RunProgress
+from mobo_tuner.nodes.parameters import CONSOLE
+from mobo_tuner.ros.parameters import declare
 from mobo_tuner.ros.process import exit_process, run_node
 from mobo_tuner.ros.qos import LATCHED, STREAM
 from mobo_tuner.ros.waiting import first_of, until

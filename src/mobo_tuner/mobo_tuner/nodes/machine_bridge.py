@@ -5,10 +5,11 @@ from __future__ import annotations
 from rclpy.executors import Executor
 from rclpy.node import Node
 
+from mobo_tuner.bridge.backend import BridgeBackend
 from mobo_tuner.bridge.mapping import load_mapping
-from mobo_tuner.ros.bridge_backend import BridgeBackend
-from mobo_tuner.ros.machine_server import MachineServer
-from mobo_tuner.ros.parameters import MACHINE_BRIDGE, declare
+from mobo_tuner.machine.server import MachineServer
+from mobo_tuner.nodes.parameters import MACHINE_BRIDGE
+from mobo_tuner.ros.parameters import declare
 from mobo_tuner.ros.process import StartError, exit_process, run_node
 
 

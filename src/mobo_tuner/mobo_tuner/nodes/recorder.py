@@ -31,11 +31,12 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import WriterError
 
 from mobo_msgs_py.msg import RecorderStatus
-from mobo_tuner.ros.definitions import Definition, DefinitionError, find_definition
-from mobo_tuner.ros.parameters import RECORDER, declare
+from mobo_tuner.nodes.parameters import RECORDER
+from mobo_tuner.ros.parameters import declare
 from mobo_tuner.ros.process import StartError, exit_process, run_node
 from mobo_tuner.ros.qos import LATCHED
 from mobo_tuner.runs.bag import BagWriter
+from mobo_tuner.runs.definitions import Definition, DefinitionError, find_definition
 
 QUEUE_DEPTH = 1000  # messages of a topic that may wait to be recorded
 FLUSH_PERIOD = 0.25  # [s] what is lost at most when the process is killed

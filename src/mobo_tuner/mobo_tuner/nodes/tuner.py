@@ -6,24 +6,25 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.task import Future
 
-from mobo_tuner.core import ProblemError
-from mobo_tuner.ros.machine_client import MachineClient
-from mobo_tuner.ros.parameters import TUNER, declare
-from mobo_tuner.ros.problem_parameters import ProblemParameters
+from mobo_tuner.errors import UserError
+from mobo_tuner.ros.parameters import declare
 from mobo_tuner.ros.process import STOP_TIMEOUT, exit_process, run_node
 from mobo_tuner.ros.waiting import until
 from mobo_tuner.ros.worker import Worker
-from mobo_tuner.tuning.ask_tell import AskTell
-from mobo_tuner.tuning.changes import Changes
-from mobo_tuner.tuning.heartbeat import Heartbeat
-from mobo_tuner.tuning.parts import TunerParts
-from mobo_tuner.tuning.publishers import TunerPublishers
-from mobo_tuner.tuning.run_keeper import RunKeeper
-from mobo_tuner.tuning.session import Session
-from mobo_tuner.tuning.status import Status
-from mobo_tuner.tuning.steering_services import SteeringServices
-from mobo_tuner.tuning.tune_server import TuneServer
-from mobo_tuner.tuning.working_points import WorkingPoints
+from mobo_tuner.tuner.context import TunerParts
+from mobo_tuner.tuner.heartbeat import Heartbeat
+from mobo_tuner.tuner.machine_client import MachineClient
+from mobo_tuner.tuner.parameters import TUNER
+from mobo_tuner.tuner.problem_parameters import ProblemParameters
+from mobo_tuner.tuner.run.keeper import RunKeeper
+from mobo_tuner.tuner.services.ask_tell import AskTell
+from mobo_tuner.tuner.services.parameter_changes import Changes
+from mobo_tuner.tuner.services.steering import SteeringServices
+from mobo_tuner.tuner.services.tune import TuneServer
+from mobo_tuner.tuner.services.working_points import WorkingPoints
+from mobo_tuner.tuner.session import Session
+from mobo_tuner.tuner.status import Status
+from mobo_tuner.tuner.topics import TunerPublishers
 
 STOPPED = "the tuner was asked to stop"
 
@@ -43,7 +44,7 @@ class Tuner:
         try:
             parameters = declare(self.node, TUNER)
             problem = ProblemParameters(self.node)
-        except ProblemError:
+        except UserError:
             self.node.destroy_node()
             raise
         publishers = TunerPublishers(self.node, problem.problem)

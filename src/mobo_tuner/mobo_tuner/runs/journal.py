@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from mobo_tuner.core.sentence import SentenceError
+from mobo_tuner.errors import UserError
 
 FILE_NAME = "journal.jsonl"
 MAX_BYTES = 1 << 30  # of a journal that is read: half a million evaluations
@@ -40,7 +40,7 @@ MAX_BYTES = 1 << 30  # of a journal that is read: half a million evaluations
 Record = dict[str, Any]
 
 
-class JournalError(SentenceError):
+class JournalError(UserError):
     """A journal that cannot be read; the message is one sentence for the user."""
 
 

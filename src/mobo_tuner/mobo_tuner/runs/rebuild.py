@@ -21,8 +21,8 @@ from typing import Any
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from mobo_tuner.core.sentence import SentenceError
-from mobo_tuner.ros.definitions import DefinitionError, find_definition
+from mobo_tuner.errors import UserError
+from mobo_tuner.runs.definitions import DefinitionError, find_definition
 from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import Journal, JournalError, Record, journal_line, parse_journal
 from mobo_tuner.runs.mcap_records import McapError, Message, read_messages
@@ -35,7 +35,7 @@ PROBLEM, EVALUATION, STATUS = TYPES = (
 )
 
 
-class BagError(SentenceError):
+class BagError(UserError):
     """A bag from which no run can be rebuilt; the message is one sentence for the user."""
 
 

@@ -11,39 +11,14 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from mobo_tuner.core import Optimizer, Problem, ProblemError
+from mobo_tuner.core import Optimizer
+from mobo_tuner.errors import UserError
 from mobo_tuner.runs.history import Changed, History, Told
-from mobo_tuner.runs.journal import JournalError, Record, read_journal
-from mobo_tuner.runs.rebuild import BagError, records_of_bag
+from mobo_tuner.runs.journal import Record, read_journal
+from mobo_tuner.runs.optimizer_settings import make_optimizer
+from mobo_tuner.runs.rebuild import records_of_bag
 from mobo_tuner.runs.saved_state import SavedState
-
-OPTIMIZER_SETTINGS = ("preset", "seed", "initial_evaluations", "proximal", "model_input")
-"""Of a tuner."""
-
-
-def make_optimizer(problem: Problem, settings: Mapping[str, Any]) -> Optimizer:
-    """The optimiser of a run that knows nothing yet.
-
-    Args:
-        problem: what is tuned.
-        settings: of the tuner; those that concern the optimiser are looked at.
-
-    Raises:
-        ProblemError: they are not allowed.
-    """
-    try:
-        choices: dict[str, Any] = {}
-        if settings["initial_evaluations"]:
-            choices["initial_evaluations"] = settings["initial_evaluations"]
-        if settings["proximal"]:
-            choices["proximal"] = "costs"
-        return Optimizer(problem, preset=settings["preset"], seed=settings["seed"], **choices)
-    except KeyError as error:
-        raise ProblemError(f"the settings lack {error}") from None
-    except TypeError as error:
-        raise ProblemError(f"the settings are not as they should be: {error}") from None
 
 
 def restore(history: History, saved: SavedState | None = None) -> Optimizer:
@@ -131,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     path = parser.parse_args(arguments).run
     try:
         comparisons = compare(History.from_records(records_of(path)))
-    except (JournalError, BagError, ProblemError) as error:
+    except UserError as error:
         print(error, file=sys.stderr)
         return 1
     compared = [c for c in comparisons if c.source != "operator"]

@@ -15,11 +15,12 @@ from typing import Any
 
 import yaml
 
-from mobo_tuner.core.parameter_file import load_yaml
 from mobo_tuner.core.problem import SECTIONS, Problem, ProblemError
+from mobo_tuner.errors import UserError
+from mobo_tuner.files import load_yaml
 from mobo_tuner.runs.history import History
-from mobo_tuner.runs.journal import JournalError, read_journal
-from mobo_tuner.runs.replay import OPTIMIZER_SETTINGS
+from mobo_tuner.runs.journal import read_journal
+from mobo_tuner.runs.optimizer_settings import OPTIMIZER_SETTINGS
 
 CONFIG_FILE = "config.yaml"
 
@@ -96,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         content = resume_config(options.run_folder, options.config, options.evaluations)
         options.out.write_bytes(content)
-    except (JournalError, ProblemError) as error:
+    except UserError as error:
         print(error, file=sys.stderr)
         return 2
     except (OSError, ValueError) as error:

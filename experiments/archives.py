@@ -1,0 +1,115 @@
+"""Evaluations to start from: points of a run or of a known front, in seven objectives and six variables."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from experiments.problems import Benchmark, awa, cached, run, surrogate_digest
+from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.core.pareto import FloatArray
+
+N_OBJECTIVES = 7
+N_VARIABLES = 6
+NAMES = ["awa", "smooth", "sphere"]
+
+Told = list[tuple[dict[str, float], dict[str, tuple[float, float]]]]
+"""Set-points and what was measured there, with standard deviations."""
+
+
+@dataclass
+class Archive:
+    """A machine and what it has answered so far."""
+
+    benchmark: Benchmark
+    told: Told
+
+    def optimizer(self, n: int, **settings: Any) -> Optimizer:
+        """An optimiser that was told the first n evaluations."""
+        optimizer = Optimizer(self.benchmark.problem, **settings)
+        for setpoint, outputs in self.told[:n]:
+            optimizer.tell(setpoint, outputs)
+        return optimizer
+
+
+def archive(name: str, n: int, seed: int = 0) -> Archive:
+    """The archive of that name, with n evaluations.
+
+    "awa" is a run of the optimiser on the AWA surrogate; "smooth" are points near the Pareto set of squared
+    distances, the hull of seven points; "sphere" has all its points on a concave sphere, the front of most boxes.
+    """
+    if name == "awa":
+        record = awa_record(n, "default", seed)
+        outputs = [
+            {name: (pair[0], pair[1]) for name, pair in evaluation["outputs"].items()}
+            for evaluation in record["state"]["evaluations"]
+        ]
+        setpoints = [evaluation["setpoint"] for evaluation in record["state"]["evaluations"]]
+        return Archive(awa(), list(zip(setpoints, outputs, strict=True)))
+    benchmark, x = (smooth if name == "smooth" else sphere)(n, seed)
+    names = benchmark.problem.objective_names
+    return Archive(
+        benchmark,
+        [
+            (
+                benchmark.problem.denormalize(row),
+                {name: (value, np.nan) for name, value in zip(names, values, strict=True)},
+            )
+            for row, values in zip(x, benchmark.objectives(x), strict=True)
+        ],
+    )
+
+
+def awa_record(evaluations: int, preset: str, seed: int) -> dict[str, Any]:
+    """State of a run of so many evaluations and its times, made where there is none yet."""
+    path = cached(f"archive-{surrogate_digest()}-{preset}-{evaluations}-{seed}.json")
+    if not path.exists():
+        made = run(awa(), evaluations, seed, preset=preset)
+        record = {
+            "state": made.optimizer.get_state(),
+            "hypervolumes": made.hypervolumes.tolist(),
+            "asks": made.asks.tolist(),
+            "cpu": made.cpu.tolist(),
+            "seconds": made.seconds,
+        }
+        path.write_text(json.dumps(record), encoding="utf-8")
+    record = json.loads(path.read_text(encoding="utf-8"))
+    assert isinstance(record, dict)
+    return record
+
+
+def smooth(n: int, seed: int) -> tuple[Benchmark, FloatArray]:
+    """Squared distances to seven points, and set-points `(n, d)` near the hull of these."""
+    centers = np.random.default_rng(1).uniform(-1.0, 1.0, (N_OBJECTIVES, N_VARIABLES))
+    rng = np.random.default_rng(seed)
+    shares = rng.dirichlet(np.ones(N_OBJECTIVES), n)
+    x = np.clip(shares @ centers + 0.1 * rng.standard_normal((n, N_VARIABLES)), -1.0, 1.0)
+    return (
+        _benchmark(
+            lambda x: np.square(x[:, None] - centers).sum(axis=2) / N_VARIABLES, reference=2.0
+        ),
+        x,
+    )
+
+
+def sphere(n: int, seed: int) -> tuple[Benchmark, FloatArray]:
+    """A machine whose every answer lies on a concave sphere, none dominated, and set-points `(n, d)`."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(-1.0, 1.0, (n, N_VARIABLES))
+    mixing = rng.standard_normal((N_VARIABLES, N_OBJECTIVES))
+
+    def objectives(inputs: FloatArray) -> FloatArray:
+        share = np.exp(inputs @ mixing)
+        return 2.0 * share / np.linalg.norm(share, axis=1, keepdims=True) - 1.0
+
+    return _benchmark(objectives, reference=1.0), x
+
+
+def _benchmark(objectives: Any, reference: float) -> Benchmark:
+    variables = {f"x{i}": {"min": -1.0, "max": 1.0} for i in range(N_VARIABLES)}
+    outputs = {f"f{i}": {"reference": reference} for i in range(N_OBJECTIVES)}
+    problem = Problem.from_dict({"variables": variables, "objectives": outputs})
+    return Benchmark(problem, objectives)

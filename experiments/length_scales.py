@@ -1,0 +1,112 @@
+"""How well models of few evaluations predict the others, by the prior of the length-scales and the prior mean.
+
+For each problem and number of evaluations, models of all objectives are trained on random set-points and asked for 200
+others. Printed is the mean log density of what is found there, per objective and point, each objective in units of its
+standard deviation; more is better, and differences of 0.1 are worth having. The locations are those of the prior, in
+units of the root of the number of variables; the standard deviation is the default's.
+
+    python -m experiments.length_scales --problems toy dtlz2 awa linear20
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from experiments.problems import awa, dtlz2, toy
+from mobo_tuner.core import kernels
+from mobo_tuner.core.gaussian_process import GaussianProcess, GaussianProcessSettings
+from mobo_tuner.core.gaussian_process_settings import MeanName
+from mobo_tuner.core.pareto import FloatArray
+
+Function = Callable[[FloatArray], FloatArray]
+POINTS = 200
+LEAST_STDDEV = 1e-3  # what a measurement can tell apart, in standard deviations of the objective
+
+
+def distances(x: FloatArray) -> FloatArray:
+    """Distances of `(n, d)` to two points on the diagonal, `(n, 2)`; every variable matters."""
+    return np.stack([np.linalg.norm(x - c, axis=1) for c in (0.5, -0.5)], axis=1)
+
+
+def few_of_many(x: FloatArray) -> FloatArray:
+    """Waves in three variables of `(n, d)`, `(n, 2)`; the others do not matter."""
+    return np.stack(
+        [np.sin(x[:, :3] @ [3.0, 1.0, 0.5]), np.cos(x[:, :3] @ [0.5, -2.0, 1.0])], axis=1
+    )
+
+
+def _surrogate() -> tuple[int, Function]:
+    return 6, awa().objectives
+
+
+PROBLEMS: dict[str, Callable[[], tuple[int, Function]]] = {
+    "toy": lambda: (2, toy().objectives),
+    "dtlz2": lambda: (6, dtlz2().objectives),
+    "awa": _surrogate,
+    "distances20": lambda: (20, distances),
+    "few_of_20": lambda: (20, few_of_many),
+}
+
+
+def log_density(function: Function, d: int, n: int, mean: MeanName, seed: int) -> float:
+    """Mean log density of other points under models of n random ones."""
+    rng = np.random.default_rng([seed, n])
+    x = rng.uniform(-1.0, 1.0, (n + POINTS, d))
+    y = function(x)
+    spread = y.std(axis=0)
+    settings = GaussianProcessSettings(mean=mean)
+    densities = []
+    for values, unit in zip(y.T, spread, strict=True):
+        # A reference point as a problem names it: the worst value that was seen.
+        model = GaussianProcess(settings, reference=float(values.max()))
+        model.fit(x[:n], values[:n], rng=np.random.default_rng(seed))
+        predicted, stddev = model.predict(x[n:])
+        variance = (stddev / unit) ** 2 + LEAST_STDDEV**2
+        excess = (values[n:] - predicted) / unit
+        densities.append(-0.5 * (np.log(2.0 * np.pi * variance) + excess**2 / variance).mean())
+    return float(np.mean(densities))
+
+
+def row(
+    function: Function, d: int, n: int, mean: MeanName, locations: Sequence[float], seeds: int
+) -> str:
+    """Mean log density for each location, and the standard error of their differences."""
+    found = np.empty((seeds, len(locations)))
+    for j, location in enumerate(locations):
+        logarithm = float(np.log(location) + 0.5 * np.log(d))
+        kernels.typical_log_length_scale = lambda _, value=logarithm: value  # type: ignore[assignment, misc]
+        found[:, j] = [log_density(function, d, n, mean, seed) for seed in range(seeds)]
+    # What is left without the means of seeds and locations is the spread of the differences.
+    left = found - found.mean(axis=1, keepdims=True) - found.mean(axis=0) + found.mean()
+    error = left.std() * np.sqrt(2.0 / max(seeds - 1, 1))
+    return " ".join(f"{value:8.3f}" for value in found.mean(axis=0)) + f"   +- {error:.3f}"
+
+
+def main() -> None:
+    """Print a row for each problem, number of evaluations and prior mean."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--problems", nargs="+", choices=list(PROBLEMS), default=list(PROBLEMS))
+    parser.add_argument("--evaluations", nargs="+", type=int, default=[8, 16, 32])
+    parser.add_argument("--locations", nargs="+", type=float, default=[0.5, 1.0, 1.4, 2.0, 4.0])
+    parser.add_argument("--means", nargs="+", default=["auto"], help="auto, data, reference")
+    parser.add_argument("--seeds", type=int, default=10)
+    options = parser.parse_args()
+    print(
+        "problem        n  mean       "
+        + " ".join(f"{location:8g}" for location in options.locations)
+    )
+    for name in options.problems:
+        d, function = PROBLEMS[name]()
+        for n in options.evaluations:
+            for mean in options.means:
+                line = row(function, d, n, mean, options.locations, options.seeds)
+                print(f"{name:12s} {n:3d}  {mean:9s} {line}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

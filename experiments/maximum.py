@@ -1,0 +1,91 @@
+"""How much of an acquisition function's maximum the search of a suggestion finds, and what it costs.
+
+For each archive and number of evaluations told, the acquisition function is maximised with several seeds. The
+best value known comes from a search with far more starts, kept in experiments/.cache, and from the searches timed here.
+
+    python -m experiments.maximum --archives awa sphere --told 100 500 --acquisitions ehvi
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+
+import numpy as np
+
+from experiments.archives import NAMES, archive
+from experiments.problems import cached, surrogate_digest
+from mobo_tuner.core import Optimizer
+from mobo_tuner.core.acquisition_optimizer import Maximizer, MultiStart, ParticleSwarm
+
+THOROUGH = MultiStart(
+    screened=4096,
+    screened_nearby=4096,
+    far_starts=128,
+    near_starts=256,
+    far_apart=0.3,
+    near_apart=0.05,
+    steps=15,
+    finished=48,
+    behind=1.0,
+    evaluations=60,
+    tolerance=1e-7,
+)
+MAXIMIZERS: dict[str, Maximizer] = {"multi_start": MultiStart(), "particle_swarm": ParticleSwarm()}
+
+
+def find(maximizer: Maximizer, optimizer: Optimizer, seed: int) -> tuple[float, float]:
+    """Logarithm of the largest value found, and CPU time [s]."""
+    acquisition = optimizer._acquisition_function()
+    starts = optimizer.dataset.inputs[optimizer._front_rows()]
+    started = time.process_time()
+    found = maximizer.maximize(
+        acquisition, starts.shape[1], np.random.default_rng(seed), starts=starts
+    )
+    seconds = time.process_time() - started
+    return (-np.inf if found is None else found.log_value), seconds
+
+
+def main() -> None:
+    """Print a row for each archive, number of evaluations and acquisition function."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--archives", nargs="+", choices=NAMES, default=NAMES)
+    parser.add_argument("--told", nargs="+", type=int, default=[60, 120, 250, 500])
+    parser.add_argument("--acquisitions", nargs="+", default=["ehvi", "ucb_hvi"])
+    parser.add_argument("--maximizer", choices=list(MAXIMIZERS), default="multi_start")
+    parser.add_argument("--seeds", type=int, default=5)
+    options = parser.parse_args()
+
+    path = cached(f"maxima-{surrogate_digest()}.json")
+    best = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    print("share of the largest value known: mean, least; median CPU time of a search [s]")
+    print("archive  told acquis.     mean   least   CPU s   thorough s")
+    for name in options.archives:
+        source = archive(name, 500)
+        for told in options.told:
+            for acquisition in options.acquisitions:
+                optimizer = source.optimizer(told, acquisition=acquisition)
+                optimizer._models.update(optimizer.dataset)
+                key, thorough = f"{name} {told} {acquisition}", 0.0
+                if key not in best:
+                    best[key], thorough = find(THOROUGH, optimizer, 1000)
+                searches = [
+                    find(MAXIMIZERS[options.maximizer], optimizer, seed)
+                    for seed in range(options.seeds)
+                ]
+                found, seconds = np.array(searches).T
+                best[key] = max(best[key], float(found.max()))
+                path.write_text(json.dumps(best), encoding="utf-8")
+                share = np.exp(found - best[key])
+                print(
+                    f"{name:8s} {told:4d} {acquisition:8s} {share.mean():8.3f} {share.min():7.3f} "
+                    f"{np.median(seconds):7.3f} {thorough:8.1f}",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    main()

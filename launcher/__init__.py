@@ -1,0 +1,1 @@
+"""What mobo.py is made of; standard library only."""

@@ -1,0 +1,163 @@
+"""The command line of `mobo.py`: its verbs, their options, and what is allowed."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NoReturn
+
+from launcher.ros_domain import LAST as LAST_DOMAIN
+from launcher.run_folder import RUN_ID, RUN_ID_RULE
+
+MAX_EVALUATIONS = 100_000
+MAX_SEED = 2**31 - 1
+MIN_SPEED, MAX_SPEED = 1e-3, 1e6
+RUN_HELP = "run id, or path of a run folder"
+
+Act = Callable[[argparse.Namespace], None]
+
+
+class UsageError(Exception):
+    """The command line is wrong; the message is one sentence for the user."""
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose complaints are one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise UsageError instead of printing the usage."""
+        raise UsageError(message)
+
+
+def _whole(low: int, high: int) -> Callable[[str], int]:
+    def convert(text: str) -> int:
+        if not re.fullmatch(r"-?[0-9]{1,18}", text) or not low <= int(text) <= high:
+            raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from {low} to {high}")
+        return int(text)
+
+    return convert
+
+
+def _speed(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not MIN_SPEED <= value <= MAX_SPEED:
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is not a number from {MIN_SPEED:g} to {MAX_SPEED:g}"
+        )
+    return value
+
+
+def _run_id(text: str) -> str:
+    if not RUN_ID.fullmatch(text):
+        raise argparse.ArgumentTypeError(f"'{text}' is no run id; allowed are {RUN_ID_RULE}")
+    return text
+
+
+def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argparse.ArgumentParser:
+    """The parser of the command line, but for the verb `test`, whose arguments go to pytest.
+
+    Args:
+        description: for `--help`.
+        root: the project's folder.
+        verbs: what each verb does.
+    """
+    parser = _Parser(
+        prog="mobo.py",
+        description=description,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    subparsers = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
+
+    def add(name: str, what: str) -> _Parser:
+        verb = subparsers.add_parser(name, help=what, description=what, allow_abbrev=False)
+        folder = root / "runs"
+        what = "where runs are kept (default: runs, beside mobo.py)"
+        verb.add_argument("--runs-dir", metavar="DIR", type=Path, default=folder, help=what)
+        verb.set_defaults(act=verbs[name])
+        return verb
+
+    run = add("run", "tune the machine of a configuration, once")
+    run.add_argument(
+        "--config",
+        metavar="FILE",
+        type=Path,
+        default=root / "config" / "awa.yaml",
+        help="ROS parameter file (default: config/awa.yaml, beside mobo.py)",
+    )
+    run.add_argument(
+        "--evaluations",
+        metavar="N",
+        type=_whole(1, MAX_EVALUATIONS),
+        help="budget of the run (default: as configured, 60 for the shipped awa.yaml)",
+    )
+    run.add_argument(
+        "--seed",
+        metavar="S",
+        type=_whole(0, MAX_SEED),
+        help="of every random choice, the simulated noise included (default: as configured)",
+    )
+    run.add_argument(
+        "--run-id", metavar="ID", type=_run_id, help="name of the run (default: the time)"
+    )
+    _add_surroundings(run, "as configured")
+
+    subparsers.add_parser("test", help="set up and run the tests; arguments go to pytest")
+    add("list", "list the runs")
+    add("show", "show what came out of a run").add_argument("run", metavar="RUN", help=RUN_HELP)
+
+    resume = add("resume", "go on with a run in a new one that begins with its evaluations")
+    resume.add_argument("run", metavar="RUN", help=RUN_HELP)
+    resume.add_argument(
+        "--config",
+        metavar="FILE",
+        type=Path,
+        help="with other bounds, objectives or constraints (default: as the run was in the end)",
+    )
+    resume.add_argument(
+        "--evaluations",
+        metavar="N",
+        type=_whole(1, MAX_EVALUATIONS),
+        help="budget, the evaluations there are included (default: that of the run)",
+    )
+    resume.add_argument(
+        "--run-id", metavar="ID", type=_run_id, help="name of the new run (default: RUN-2, ...)"
+    )
+    _add_surroundings(resume, "as that of the run")
+
+    add("report", "make the report of a run anew").add_argument("run", metavar="RUN", help=RUN_HELP)
+    rebuild = add("rebuild", "make a run anew from its bag alone, also from one that was cut off")
+    rebuild.add_argument("bag", metavar="BAG", type=Path, help="folder of the bag, or .mcap file")
+    rebuild.add_argument("--run-id", metavar="ID", type=_run_id, help="name of the new run folder")
+    rebuild.add_argument("--of", metavar="ID", help="which run, where the bag holds several")
+    replay = add("replay", "ask for every suggestion of a run again, and compare")
+    replay.add_argument("run", metavar="RUN", help=RUN_HELP + " or of a bag")
+    return parser
+
+
+def _add_surroundings(verb: argparse.ArgumentParser, speed: str) -> None:
+    """Options of what the nodes of a run live in."""
+    verb.add_argument("--no-dashboard", action="store_true", help="accepted; there is no page yet")
+    verb.add_argument(
+        "--speed",
+        metavar="X",
+        type=_speed,
+        help=f"simulated seconds per second of the simulated machine (default: {speed})",
+    )
+    verb.add_argument(
+        "--domain-id",
+        metavar="N",
+        type=_whole(0, LAST_DOMAIN),
+        help="ROS domain (default: one that is free)",
+    )
+    verb.add_argument(
+        "--network",
+        action="store_true",
+        help="let other hosts of the network take part (default: this host alone)",
+    )

@@ -1,0 +1,177 @@
+"""The processes that the entry script starts, and how all of them end.
+
+Each runs in a session of its own, so that a Ctrl-C at the terminal reaches `mobo.py` alone and the
+order in which things stop is decided here. None is left behind: not after an error, not after a
+signal, and, by the watchdog, not after a `kill -9` of `mobo.py`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import IO, Any
+
+from launcher import watchdog
+
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_POLL_PERIOD = 0.03  # [s]
+_SWEEP_PATIENCE = 1.0  # [s] for what is left at the end to react to SIGTERM
+
+
+class Interrupted(Exception):  # noqa: N818 - not an error: somebody asked for it
+    """A signal asked this script to stop; `number` is the signal's."""
+
+    def __init__(self, number: int) -> None:
+        self.name = signal.Signals(number).name
+        self.exit_status = 128 + number
+        super().__init__(f"stopped by {self.name}")
+
+
+class Processes:
+    """Starts, watches and ends processes; leaving the `with` block ends all that are left.
+
+    Within the block the first SIGINT, SIGTERM or SIGHUP raises :class:`Interrupted`, in the waiting
+    functions of this class and nowhere else. Further ones change nothing: from the first on, the
+    end is near anyway.
+    """
+
+    def __init__(self) -> None:
+        self._mark = secrets.token_hex(8)
+        self._signal: int | None = None
+        self._interrupted = False
+        self._started: list[subprocess.Popen[bytes]] = []
+        self._asked: set[int] = set()  # ids of processes that were sent SIGINT
+        self._handlers: dict[int, Any] = {}
+
+    def __enter__(self) -> Processes:
+        self._watchdog = subprocess.Popen(
+            [sys.executable, "-I", "-S", watchdog.__file__, self._mark],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env={},
+            cwd="/",
+            start_new_session=True,
+        )
+        for number in STOP_SIGNALS:
+            ignored = signal.getsignal(number) == signal.SIG_IGN
+            if not (number == signal.SIGHUP and ignored):  # as `nohup` wants it
+                self._handlers[number] = signal.signal(number, self._handle)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        watchdog.end_marked_processes(self._mark, _SWEEP_PATIENCE)
+        for process in self._started:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(timeout=1.0)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._watchdog.communicate(timeout=watchdog.PATIENCE + 10.0)
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+
+    def start(
+        self,
+        command: Sequence[str],
+        *,
+        environment: Mapping[str, str],
+        cwd: Path,
+        stdin: int | None = subprocess.DEVNULL,
+        stdout: int | IO[bytes] | None = None,
+        stderr: int | IO[bytes] | None = None,
+    ) -> subprocess.Popen[bytes]:
+        """Start a process in a session of its own; None as a stream is this script's own.
+
+        Raises:
+            OSError: it cannot be started.
+        """
+        process = subprocess.Popen(
+            command,
+            env={**environment, watchdog.MARKER: self._mark},
+            cwd=cwd,
+            stdin=stdin,
+            stdout=stdout,
+            stderr=stderr,
+            start_new_session=True,
+        )
+        self._started.append(process)
+        return process
+
+    def wait_until(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Wait until the condition holds, `timeout` seconds at most; return whether it does.
+
+        Raises:
+            Interrupted: a signal came.
+        """
+        deadline = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() >= deadline:
+                return False
+            self.check_signal()
+            time.sleep(_POLL_PERIOD)
+        return True
+
+    def check_signal(self) -> None:
+        """Raise Interrupted if a signal came, once."""
+        if self._signal is not None and not self._interrupted:
+            self._interrupted = True
+            raise Interrupted(self._signal)
+
+    def wait(self, process: subprocess.Popen[bytes], timeout: float) -> int | None:
+        """Wait for a process's end, for `timeout` seconds; return its status, None if it runs on.
+
+        Raises:
+            Interrupted: a signal came.
+        """
+        self.wait_until(lambda: process.poll() is not None, timeout)
+        return process.returncode
+
+    def stop(self, processes: Iterable[subprocess.Popen[bytes]], patience: float) -> bool:
+        """Interrupt processes (SIGINT), all at once, and kill those that run on after `patience`.
+
+        A process is interrupted once only, since many take the second time for impatience.
+
+        Returns:
+            Whether all of them ended of themselves.
+
+        Raises:
+            Interrupted: a signal came while waiting.
+        """
+        running = [process for process in processes if process.poll() is None]
+        for process in running:
+            if process.pid not in self._asked:
+                self._asked.add(process.pid)
+                process.send_signal(signal.SIGINT)
+        if self.wait_until(lambda: all(p.poll() is not None for p in running), patience):
+            return True
+        for process in running:
+            if process.poll() is None:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+                process.wait(timeout=5.0)
+        return False
+
+    def _handle(self, number: int, _frame: FrameType | None) -> None:
+        self._signal = number
+
+
+def describe_status(status: int) -> str:
+    """How a process ended, in words: 'was killed by SIGKILL' or 'ended with status 3'."""
+    if status >= 0:
+        return f"ended with status {status}"
+    try:
+        return f"was killed by {signal.Signals(-status).name}"
+    except ValueError:
+        return f"was killed by signal {-status}"

@@ -1,0 +1,351 @@
+"""A tuner, a machine and a recorder as processes that can be killed, and a client of them.
+
+The machine is the simulated one, or one that knows none of our types, behind the bridge. Unlike
+`mobo.py run`, nobody here stops the others when one dies: that is how nodes on several hosts live.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from action_msgs.srv import CancelGoal
+from rclpy.action import ActionClient
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from launcher.ros_domain import RosDomain
+from mobo_msgs_py import msg
+from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint, Tune
+from mobo_tuner.ros.qos import LATCHED, STREAM
+
+ROOT = Path(__file__).resolve().parents[1]
+TIMEOUT = 90.0  # [s] for anything; what takes longer hangs
+CLIENT_TIMEOUT = 2.0  # [s] of the heartbeat
+RUNS_PER_BAG = 12
+_SPIN = 0.05  # [s]
+_POLL = 0.3  # [s] between two looks at the machine
+
+
+class HangError(Exception):
+    """Something that should have come did not; the message says what."""
+
+
+class Client:
+    """A client of one scene; a fresh one knows nothing of processes that are dead.
+
+    Attributes:
+        heard: every evaluation that was published.
+        started: ids of the evaluations that the machine has begun.
+    """
+
+    def __init__(self, domain_id: int) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain_id)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._node = Node("chaos", context=self._context, enable_rosout=False)
+        self._executor.add_node(self._node)
+        self._tune = ActionClient(self._node, Tune, "tune")
+        self._apply = ActionClient(self._node, ApplySetpoint, "apply_setpoint")
+        # Made last: whoever answers it has discovered all of the clients above.
+        self._probe = self._node.create_client(CancelGoal, "tune/_action/cancel_goal")
+        self.heard: list[msg.Evaluation] = []
+        self.started: set[bytes] = set()
+        self._recorded: set[str] = set()
+        self._result: Any = None
+        kind = EvaluateSetpoint.Impl.FeedbackMessage
+        self._subscriptions = [
+            self._node.create_subscription(msg.Evaluation, "evaluation", self.heard.append, STREAM),
+            self._node.create_subscription(
+                msg.RecorderStatus, "recorder_status", self._hear_recorder, LATCHED
+            ),
+            self._node.create_subscription(
+                kind, "evaluate_setpoint/_action/feedback", self._hear_feedback, STREAM
+            ),
+        ]
+
+    def _hear_feedback(self, message: Any) -> None:
+        self.started.add(bytes(message.goal_id.uuid))
+
+    def _hear_recorder(self, message: msg.RecorderStatus) -> None:
+        self._recorded.update(message.topics)
+
+    def spin(self, seconds: float) -> None:
+        """Hear whatever comes within `seconds`."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=min(left, _SPIN))
+
+    def spin_while(self, condition: Callable[[], bool], seconds: float) -> None:
+        """Spin while a condition holds, `seconds` at most."""
+        end = time.monotonic() + seconds
+        while condition() and time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=_SPIN)
+
+    def spin_until(self, condition: Callable[[], object], what: str) -> None:
+        """Spin until a condition holds.
+
+        Raises:
+            HangError: it does not in time.
+        """
+        deadline = time.monotonic() + TIMEOUT
+        while not condition():
+            if time.monotonic() > deadline:
+                raise HangError(f"waited {TIMEOUT:g} s in vain for {what}")
+            self._executor.spin_once(timeout_sec=_SPIN)
+
+    def wait_for_all(self) -> None:
+        """Wait until tuner, machine and recorder are there.
+
+        Raises:
+            HangError: they do not come in time.
+        """
+        for client, what in ((self._tune, "the tuner"), (self._apply, "the machine")):
+            self.spin_until(client.server_is_ready, what)
+        self._meet_tuner()
+        self.spin_until(lambda: self._node.count_publishers("evaluation"), "the tuner's topics")
+        self.spin_until(lambda: "/evaluation" in self._recorded, "the recorder")
+
+    def _meet_tuner(self) -> None:
+        """Ask for the end of nobody's goal until that is answered: what is sent before gets lost.
+
+        Raises:
+            HangError: the tuner does not answer.
+        """
+        request = CancelGoal.Request()
+        request.goal_info.goal_id.uuid = list(uuid.uuid4().bytes)
+        deadline = time.monotonic() + TIMEOUT
+        while time.monotonic() < deadline:
+            answer = self._probe.call_async(request)
+            self.spin_while(lambda a=answer: not a.done(), 1.0)  # type: ignore[misc]
+            if answer.done():
+                return
+            self._probe.remove_pending_request(answer)
+        raise HangError("the tuner does not answer")
+
+    def begin(self, goal: Tune.Goal) -> None:
+        """Begin a run.
+
+        Raises:
+            HangError: the tuner does not answer.
+        """
+        sent = self._tune.send_goal_async(goal)
+        self.spin_until(sent.done, "the answer to a goal")
+        self._result = sent.result().get_result_async()
+
+    @property
+    def done(self) -> bool:
+        """Whether the run has ended."""
+        return self._result is not None and self._result.done()
+
+    def result(self) -> Tune.Result:
+        """What came of the run.
+
+        Raises:
+            HangError: nothing in time.
+        """
+        self.spin_until(lambda: self.done, "the end of a run")
+        return self._result.result().result
+
+    def where(self) -> dict[str, float]:
+        """Where the machine is: told to go nowhere, it refuses, and says where it is.
+
+        Raises:
+            HangError: it does not answer.
+        """
+        deadline = time.monotonic() + TIMEOUT
+        while True:  # what is sent right after discovery may be lost
+            sent = self._apply.send_goal_async(ApplySetpoint.Goal())
+            self.spin_while(lambda s=sent: not s.done(), 2.0)  # type: ignore[misc]
+            if sent.done():
+                break
+            if time.monotonic() > deadline:
+                raise HangError("the machine does not say where it is")
+        got = sent.result().get_result_async()
+        self.spin_until(got.done, "where the machine is")
+        return {item.name: item.value for item in got.result().result.readbacks}
+
+    def watch_until(
+        self, condition: Callable[[Mapping[str, float]], bool], after: float, seconds: float
+    ) -> dict[str, float]:
+        """Watch the machine until it rests where it should, or `seconds` have passed.
+
+        Args:
+            condition: whether it is where it should be.
+            after: earliest time [s of `time.monotonic`] at which it counts.
+            seconds: after which this returns anyway.
+        """
+        deadline = after + seconds
+        before: dict[str, float] = {}
+        while True:
+            now = self.where()
+            rests = before and max(abs(now[name] - before[name]) for name in now) < 1e-3
+            time_is_up = time.monotonic() > deadline
+            if time_is_up or (time.monotonic() > after and rests and condition(now)):
+                return now
+            before = now
+            self.spin(_POLL)
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._executor.shutdown(timeout_sec=1.0)
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+
+class Scene:
+    """The processes of one domain.
+
+    Args:
+        folder: for runs, bags and logs.
+        bridged: whether the machine is behind the bridge.
+    """
+
+    def __init__(self, folder: Path, *, bridged: bool) -> None:
+        self.folder = folder
+        self.runs_dir = folder / "runs"
+        self.runs_dir.mkdir(parents=True, exist_ok=True)
+        self.machine = "bridge" if bridged else "machine"
+        self._domain = RosDomain()
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._bags = 0
+        self.recorded: list[str] = []  # ids of the runs that began since the recorder did
+        self.on_client_lost = "hold"
+        self.client = Client(self._domain.id)
+
+    def __enter__(self) -> Scene:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.client.close()
+        for name in list(self._processes):
+            self.kill(name)
+        self._domain.close()
+
+    @property
+    def bag(self) -> Path:
+        """The bag that is written now, or was last."""
+        return self.folder / f"bag-{self._bags}"
+
+    @property
+    def bag_is_old(self) -> bool:
+        """Whether the recorder has recorded enough for one bag."""
+        return self._alive("recorder") and len(self.recorded) >= RUNS_PER_BAG
+
+    def start_missing(self, on_client_lost: str, speed: float) -> None:
+        """Start what does not run; a tuner or a machine that does is left as it is."""
+        if self.machine == "bridge" and not self._alive("foreign"):
+            self._start("foreign", [str(ROOT / "examples" / "foreign_machine.py")])
+        if not self._alive(self.machine):
+            self.start_machine(speed)
+        if not self._alive("tuner"):
+            self.on_client_lost = on_client_lost
+            values = {
+                "runs_dir": str(self.runs_dir),
+                "initial_evaluations": 4,
+                "client_timeout": CLIENT_TIMEOUT,
+                "machine_timeout": 3.0,
+                "machine_return_timeout": TIMEOUT / 2.0,
+                "retry_delay": 0.2,
+                "on_client_lost": on_client_lost,
+            }
+            self._start_node("tuner", "mobo_tuner.nodes.tuner", values, ROOT / "config/toy.yaml")
+        if not self._alive("recorder"):
+            self._bags += 1
+            self.recorded = []
+            self._start_node("recorder", "mobo_tuner.nodes.recorder", {"bag_path": str(self.bag)})
+        self.client.close()
+        self.client = Client(self._domain.id)
+        self.client.wait_for_all()
+
+    def start_machine(self, speed: float) -> None:
+        """Start the machine, or the bridge to it.
+
+        Args:
+            speed: simulated seconds per second.
+        """
+        if self.machine == "bridge":
+            mapping = str(ROOT / "config" / "bridge_foreign.yaml")
+            self._start_node("bridge", "mobo_tuner.nodes.machine_bridge", {"mapping": mapping})
+        else:
+            values = {"model": "toy", "mode": "ideal", "speed": speed}
+            self._start_node("machine", "awa_sim_node.node", values)
+
+    def begin(self, goal: Tune.Goal) -> None:
+        """Begin a run, which the recorder hears from its beginning.
+
+        Raises:
+            HangError: the tuner does not answer.
+        """
+        self.recorded.append(goal.run_id)
+        self.client.begin(goal)
+
+    def kill(self, name: str) -> None:
+        """Kill a process, at once."""
+        process = self._processes.pop(name)
+        with contextlib.suppress(ProcessLookupError):
+            process.send_signal(signal.SIGKILL)
+        process.wait(10.0)
+
+    def stop(self, name: str) -> int:
+        """Ask a process to stop; its exit status.
+
+        Raises:
+            HangError: it does not stop.
+        """
+        process = self._processes.pop(name)
+        process.send_signal(signal.SIGTERM)
+        try:
+            return process.wait(TIMEOUT)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            raise HangError(f"the {name} did not stop") from None
+
+    def dead(self) -> list[str]:
+        """Processes that have ended of themselves."""
+        return [name for name, process in self._processes.items() if process.poll() is not None]
+
+    def tracebacks(self) -> list[str]:
+        """Logs that hold one."""
+        return [
+            path.stem for path in self.folder.glob("*.log") if b"Traceback" in path.read_bytes()
+        ]
+
+    def _alive(self, name: str) -> bool:
+        return name in self._processes and self._processes[name].poll() is None
+
+    def _start_node(
+        self, name: str, module: str, values: Mapping[str, Any], file: Path | None = None
+    ) -> None:
+        given = [word for key, value in values.items() for word in ("-p", f"{key}:={value}")]
+        files = ["--params-file", str(file)] if file else []
+        node = {"machine": "awa_sim", "bridge": "machine_bridge"}.get(name, name)
+        given = [w if w == "-p" else f"{node}:{w}" for w in given]
+        self._start(name, ["-m", module, "--ros-args", *files, *given])
+
+    def _start(self, name: str, words: list[str]) -> None:
+        with (self.folder / f"{name}.log").open("ab") as log:
+            self._processes[name] = subprocess.Popen(
+                [sys.executable, *words],
+                env={**os.environ, **self._domain.environment},
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+            )

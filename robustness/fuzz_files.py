@@ -1,0 +1,308 @@
+"""Feed what reads files with files that are not as they should be: each must be refused in one sentence, or taken.
+
+Configurations, mapping files of the bridge, journals, states and bags of runs, and the files that `mobo.py list` and
+`show` read are altered in their bytes or in what they say, drawn from a seed. Prints how many of each kind were read,
+and everything else that happened: another exception, a message of several lines, or more than 20 s.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import json
+import math
+import signal
+import sys
+import tempfile
+import traceback
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from awa_sim_node.check_config import check
+from launcher.run_folder import RunFolder, RunFolderError
+from mobo_tuner.bridge.mapping import load_mapping
+from mobo_tuner.runs.history import History
+from mobo_tuner.runs.journal import FILE_NAME, read_journal
+from mobo_tuner.runs.rebuild import records_of_bag, runs_of_bag
+from mobo_tuner.runs.recorded_run import RecordedRun
+from mobo_tuner.runs.replay import restore
+from mobo_tuner.runs.report.command import summarize
+from mobo_tuner.runs.resume_config import resume_config
+from mobo_tuner.runs.saved_state import FILE_NAME as STATE_NAME
+from mobo_tuner.runs.saved_state import SavedState, checksum
+from robustness.bagged_run import write_bag
+from robustness.lived_run import LivedRun, toy, toy_optimizer
+
+ROOT = Path(__file__).resolve().parents[1]
+REFUSALS = (UserError, RunFolderError)
+TIME_LIMIT = 20  # [s] for one file
+LONGEST = 2000  # characters of a sentence
+SHARES = {
+    "configuration": 0.35,
+    "mapping": 0.15,
+    "resumed configuration": 0.05,
+    "journal": 0.15,
+    "state": 0.1,
+    "bag": 0.17,
+    "run.json": 0.03,
+}
+_VALUES: tuple[Any, ...] = (
+    *(None, True, False, 0, -1, 1, 2**31, -(2**63), 10**400, 0.0, -1.0, 1e308, 5e-324),
+    *(math.nan, math.inf, -math.inf, "", " ", "x", "x" * 5000, "\n", "1.0", "nan", "µ\U0001f600"),
+    *([], {}, [[]], [1.0, 2.0], [None], {"": None}, {"min": 1.0}, {1: 2}, b"\x00\xff", "../x"),
+)
+_SNIPPETS = (
+    *(b"\x00", b"\xff\xfe", b"\t", b"---\n", b"...\n", b"{", b"}", b"[", b"'", b'"', b"&a ", b"*a"),
+    *(b"<<: *a\n", b"? ", b": ", b"#", b"|\n", b"!!python/object/apply:os.system ['true']"),
+    *(b"!!binary x", b"!!timestamp 2001-99-99", b"1e999", b"0x", b"1_000", b"\xf0\x9f\x98\x80"),
+    *(b"=", b"!!set {a, b}", b"~", b"%YAML 9.9\n", b"[" * 2000, b"{a: " * 500, b"2001-02-30"),
+)
+# A list of ten lists, each of ten, and so on: what writes it out never ends.
+_BOMB = "[x]"
+for _level in range(20):
+    _BOMB = f"[&a{_level} {_BOMB}, {', '.join([f'*a{_level}'] * 9)}]"
+
+
+class SlowError(Exception):
+    """A file took too long."""
+
+
+@dataclass
+class Report:
+    """What came of it.
+
+    Attributes:
+        read: how many of each kind were read.
+        refused: how many of them were refused.
+        wrong: what happened otherwise.
+    """
+
+    read: Counter[str] = field(default_factory=Counter)
+    refused: Counter[str] = field(default_factory=Counter)
+    wrong: list[str] = field(default_factory=list)
+
+
+class Fuzzer:
+    """Alters files and has them read.
+
+    Args:
+        scratch: a folder of its own.
+        seed: of every choice.
+    """
+
+    def __init__(self, scratch: Path, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._scratch = scratch
+        self.report = Report()
+        self._run = scratch / "run"
+        run = LivedRun(self._run, toy_optimizer(3), toy, 3)
+        for _ in range(9):
+            run.step()
+        run.log.append(
+            {"type": "end", "stamp": 1.0, "stop_reason": "budget", "error_code": 0, "error_msg": ""}
+        )
+        run.log.close()
+        self._records = read_journal(self._run)
+        self._history = History.from_records(self._records)
+        (self._run / "config.yaml").write_bytes((ROOT / "config/toy.yaml").read_bytes())
+        write_bag(scratch / "bag", self._records)
+        [bag] = (scratch / "bag").glob("*.mcap")
+        self._bag = bag.read_bytes()
+        self._state = (self._run / STATE_NAME).read_bytes()
+        recorded = RecordedRun.from_records(self._records)
+        self._facts = {"run_id": "run", "state": "finished", "pid": 1, "arguments": {"seed": 1}}
+        self._summary = summarize(recorded)
+
+    def run(self, count: int) -> Report:
+        """Have `count` files read."""
+        readers: dict[str, Callable[[], None]] = {
+            "configuration": self._configuration,
+            "mapping": self._mapping,
+            "resumed configuration": self._resumed,
+            "journal": self._journal,
+            "state": self._saved_state,
+            "bag": self._rebuilt,
+            "run.json": self._listed,
+        }
+        signal.signal(signal.SIGALRM, _too_slow)
+        for kind in self._rng.choice(list(SHARES), count, p=list(SHARES.values())):
+            self.report.read[kind] += 1
+            signal.alarm(TIME_LIMIT)
+            try:
+                readers[kind]()
+            except REFUSALS as error:
+                self.report.refused[kind] += 1
+                text = str(error)
+                if not text or "\n" in text or len(text) > LONGEST:
+                    self.report.wrong.append(f"{kind}: it was said in {text[:300]!r}")
+            except Exception:  # what this program looks for
+                self.report.wrong.append(f"{kind}: {traceback.format_exc()}")
+            finally:
+                signal.alarm(0)
+        return self.report
+
+    # ------------------------------------------------------------------ the readers
+
+    def _configuration(self) -> None:
+        name = str(self._rng.choice(["awa.yaml", "toy.yaml"]))
+        check(str(self._altered_yaml(ROOT / "config" / name)))
+
+    def _mapping(self) -> None:
+        load_mapping(str(self._altered_yaml(ROOT / "config" / "bridge_foreign.yaml")))
+
+    def _resumed(self) -> None:
+        path = self._altered_yaml(ROOT / "config" / "toy.yaml")
+        resume_config(self._run, path, int(self._rng.integers(0, 30)))
+
+    def _journal(self) -> None:
+        folder = self._scratch / "altered"
+        folder.mkdir(exist_ok=True)
+        if self._rng.random() < 0.4:
+            content = self._altered_bytes((self._run / FILE_NAME).read_bytes())
+        else:
+            records = copy.deepcopy(self._records)
+            number = int(self._rng.integers(len(records)))
+            records[number] = self._altered(records[number])
+            if self._rng.random() < 0.2:
+                records.insert(number, records[int(self._rng.integers(len(records)))])
+            content = "".join(
+                json.dumps(record, default=repr) + "\n" for record in records
+            ).encode()
+        (folder / FILE_NAME).write_bytes(content)
+        records = read_journal(folder)
+        summarize(RecordedRun.from_records(records))
+        history = History.from_records(records)
+        if self._rng.random() < 0.05:
+            restore(history, SavedState.read(self._run))
+
+    def _saved_state(self) -> None:
+        folder = self._scratch / "altered"
+        folder.mkdir(exist_ok=True)
+        text, _ = self._state.strip().split(b"\n")
+        if self._rng.random() < 0.3:
+            content = self._altered_bytes(self._state)
+        else:  # whole, but not as this program writes it
+            text = json.dumps(self._altered(json.loads(text)), default=repr).encode()
+            content = text + b"\n" + checksum(text) + b"\n"
+        (folder / STATE_NAME).write_bytes(content)
+        saved = SavedState.read(folder)
+        if saved is not None:
+            saved.revive(self._history)
+
+    def _rebuilt(self) -> None:
+        path = self._scratch / "altered.mcap"
+        path.write_bytes(self._altered_bytes(self._bag))
+        runs_of_bag(path)
+        records_of_bag(path)
+
+    def _listed(self) -> None:
+        folder = self._scratch / "listed"
+        folder.mkdir(exist_ok=True)
+        for name, content in (("run.json", self._facts), ("summary.json", self._summary)):
+            text = json.dumps(self._altered(copy.deepcopy(content)), default=repr).encode()
+            altered = self._altered_bytes(text) if self._rng.random() < 0.2 else text
+            (folder / name).write_bytes(altered)
+        run = RunFolder(folder)
+        run.row()
+        run.description()
+
+    # ------------------------------------------------------------------ what is altered
+
+    def _altered_yaml(self, path: Path) -> Path:
+        altered = self._scratch / "altered.yaml"
+        content = path.read_bytes()
+        kind = self._rng.random()
+        if kind < 0.4:
+            content = self._altered_bytes(content)
+        elif kind < 0.97:
+            structure = yaml.safe_load(content)
+            for _ in range(int(self._rng.integers(1, 3))):
+                structure = self._altered(structure)
+            content = yaml.safe_dump(structure, allow_unicode=True).encode("utf-8", "replace")
+        else:
+            text = content.decode()
+            words = [w for w in text.split() if w.replace(".", "").strip("-,{}").isdigit()]
+            word = str(self._rng.choice(words)).strip("{},")
+            content = text.replace(f" {word}", f" {_BOMB}", 1).encode()
+        altered.write_bytes(content)
+        return altered
+
+    def _altered_bytes(self, content: bytes) -> bytes:
+        """Some bytes changed, cut out, repeated or put in."""
+        data = bytearray(content)
+        for _ in range(int(self._rng.integers(1, 5))):
+            place = int(self._rng.integers(len(data) + 1))
+            length = min(int(10.0 ** self._rng.uniform(0.0, 3.5)), len(data) - place)
+            kind = int(self._rng.integers(5))
+            if kind == 0:
+                del data[place:]
+            elif kind == 1:
+                del data[place : place + length]
+            elif kind == 2:
+                data[place:place] = data[place : place + length]
+            elif kind == 3:
+                data[place:place] = _SNIPPETS[int(self._rng.integers(len(_SNIPPETS)))]
+            elif length:
+                data[place : place + 1] = self._rng.bytes(1)
+        return bytes(data)
+
+    def _altered(self, structure: Any) -> Any:
+        """One value somewhere in a structure exchanged, dropped, doubled or renamed."""
+        place = self._place(structure)
+        if place is None:
+            return _VALUES[int(self._rng.integers(len(_VALUES)))]
+        parent, key = place
+        kind = int(self._rng.integers(5))
+        if kind == 0:
+            del parent[key]
+        elif kind == 1 and isinstance(parent, dict):
+            parent[str(_VALUES[int(self._rng.integers(len(_VALUES)))])] = parent.pop(key)
+        elif kind == 2 and isinstance(parent, list):
+            parent.insert(key, copy.deepcopy(parent[key]))
+        else:
+            parent[key] = copy.deepcopy(_VALUES[int(self._rng.integers(len(_VALUES)))])
+        return structure
+
+    def _place(self, structure: Any) -> tuple[Any, Any] | None:
+        """A random place in a structure: what holds it, and its key or index."""
+        parent, key = None, None
+        while isinstance(structure, dict | list) and structure:
+            keys = list(structure) if isinstance(structure, dict) else range(len(structure))
+            parent, key = structure, keys[int(self._rng.integers(len(keys)))]
+            structure = parent[key]
+            if self._rng.random() < 0.2:
+                break
+        return None if parent is None else (parent, key)
+
+
+def _too_slow(*_: object) -> None:
+    raise SlowError(f"not done after {TIME_LIMIT} s")
+
+
+def main() -> int:
+    """Fuzz, and print what came of it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        report = Fuzzer(Path(scratch), options.seed).run(options.count)
+    print(f"{report.read.total()} files read, {len(report.wrong)} wrong")
+    for kind, number in sorted(report.read.items()):
+        print(f"{number:6d}  {kind}, {report.refused[kind]} refused")
+    kinds: dict[str, list[str]] = {}
+    for text in report.wrong:
+        kinds.setdefault(" ".join(text.strip().splitlines()[-3:])[-300:], []).append(text)
+    for texts in kinds.values():
+        print(f"{len(texts)} like this: {texts[0]}")
+    return 1 if report.wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,131 @@
+"""Runs that are killed and gone on with, against the same runs without a kill: are they the same to the last bit?
+
+Each run tunes the toy problem with a constraint, has evaluations that fail, set-points of an operator and changes of
+its problem, and lives in a process of its own that is killed (SIGKILL) at one to three random moments. What remains of
+it in its folder is all that the next process has. At the end every set-point, measurement and hypervolume and the next
+suggestion are compared with those of a run that was never killed.
+
+Results are kept in robustness/.cache as they come: what was stopped goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.problems import cached
+from mobo_tuner.runs.history import History
+from mobo_tuner.runs.journal import FILE_NAME, read_journal
+from mobo_tuner.runs.replay import restore
+from mobo_tuner.runs.saved_state import SavedState
+from robustness.lived_run import LivedRun, toy, toy_optimizer
+
+LENGTH = 14  # evaluations of a run
+_COMPARED = ("index", "source", "setpoint", "diagnostics", "valid", "feasible", "hypervolume")
+
+
+def carry_out(run: LivedRun) -> dict[str, float]:
+    """Go on to the end of a run; what it would ask next."""
+    while len(run.optimizer.dataset) < LENGTH:
+        run.step()
+    run.log.close()
+    return run.ask()
+
+
+def begin(folder: Path, *, seed: int) -> LivedRun:
+    """A run from its start."""
+    return LivedRun(folder, toy_optimizer(seed), toy, seed)
+
+
+def go_on(earlier: Path, folder: Path, *, seed: int) -> LivedRun:
+    """A run that goes on with what was kept of an earlier one."""
+    history = History.from_records(read_journal(earlier))
+    optimizer = restore(history, SavedState.read(earlier))
+    return LivedRun(folder, optimizer, toy, seed, earlier=history)
+
+
+def kill_amid(start: Callable[[], LivedRun], seconds: float) -> None:
+    """Carry out a run in a process of its own, and kill that after so many seconds."""
+    child = os.fork()
+    if child == 0:
+        try:
+            carry_out(start())
+        finally:
+            os._exit(0)
+    time.sleep(seconds)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+
+
+def kept(folder: Path) -> list[dict[str, Any]]:
+    """What is compared of the evaluations in a journal."""
+    records = [r for r in read_journal(folder) if r["type"] == "evaluation"]
+    return [{key: record[key] for key in _COMPARED} for record in records]
+
+
+def compare(seed: int) -> dict[str, Any]:
+    """Kill one run as its seed says, and compare it with one that was not killed."""
+    rng = np.random.default_rng([seed, 1])
+    with tempfile.TemporaryDirectory() as scratch:
+        whole = Path(scratch, "whole")
+        started = time.monotonic()
+        asked = carry_out(begin(whole, seed=seed))
+        duration = time.monotonic() - started
+        start = partial(begin, seed=seed)
+        told = [0]
+        for number in range(int(rng.integers(1, 4))):
+            folder = Path(scratch, f"run-{number}")
+            rest = 1.0 - told[-1] / LENGTH
+            kill_amid(partial(start, folder), duration * rest * rng.random())
+            journal = folder / FILE_NAME
+            if (
+                journal.exists() and b"\n" in journal.read_bytes()
+            ):  # else it was killed before it began
+                start = partial(go_on, folder, seed=seed)
+                told.append(len(kept(folder)))
+        last = Path(scratch, "last")
+        asked_now = carry_out(start(last))
+        same = asked_now == asked and kept(last) == kept(whole)
+        return {"seed": seed, "killed_after": told[1:], "same": same}
+
+
+def main() -> int:
+    """Compare the runs that are missing, and print what came of all."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=100, metavar="N")
+    parser.add_argument("--seed", type=int, default=0, metavar="S", help="of the first run")
+    options = parser.parse_args()
+    path = cached("resumed-runs.jsonl")
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    results = {result["seed"]: result for result in map(json.loads, lines)}
+    wanted = range(options.seed, options.seed + options.runs)
+    with path.open("a", encoding="utf-8") as file:
+        for seed in wanted:
+            if seed not in results:
+                results[seed] = compare(seed)
+                print(json.dumps(results[seed]), file=file, flush=True)
+    chosen = [results[seed] for seed in wanted]
+    kills = [count for result in chosen for count in result["killed_after"]]
+    different = [result["seed"] for result in chosen if not result["same"]]
+    print(
+        f"{len(chosen)} runs of {LENGTH} evaluations, killed {len(kills)} times after {min(kills)} to "
+        f"{max(kills)} evaluations: {len(chosen) - len(different)} identical to uninterrupted ones"
+    )
+    if different:
+        print(f"not identical: {different}")
+    return 1 if different else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,212 @@
+"""Values that come from topics, or from services that are asked again and again."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rclpy.task import Future
+
+from mobo_tuner.bridge.calls import Call, CallError, check, create, load
+from mobo_tuner.bridge.interface_types import FieldError, check_readable, check_time, read
+from mobo_tuner.bridge.mapping import Condition, Endpoint, Target
+from mobo_tuner.ros.conversions import seconds
+from mobo_tuner.ros.qos import LATCHED
+from mobo_tuner.ros.waiting import first_of
+
+_QOS = {
+    "reliable": QoSProfile(depth=100),
+    "best_effort": qos_profile_sensor_data,
+    "latched": LATCHED,
+}
+_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+
+
+class Signal:
+    """The latest value of one endpoint, and whoever listens to its values.
+
+    A message whose stamp is older than `stale_after` or `not_before`, or not newer than that of the
+    message before, is dropped. A value that is not there or not finite counts as NaN: listeners hear
+    of it, but it does not replace the latest.
+
+    Args:
+        clock: of the stamps.
+        endpoint: of the value.
+        convert: makes a value of what stands in the message.
+    """
+
+    def __init__(
+        self, clock: Clock, endpoint: Endpoint, convert: Callable[[object], float]
+    ) -> None:
+        self.endpoint = endpoint
+        self.latest = math.nan
+        self.not_before = -math.inf  # stamps earlier than this do not count [s]
+        self.listeners: list[Callable[[float], None]] = []
+        self.count_publishers: Callable[[], int] = lambda: 1  # of the topic
+        self._clock = clock
+        self._convert = convert
+        self._heard = -math.inf  # when the latest value came, time.monotonic()
+        self._stamp = -math.inf  # of the last message [s]
+        self._fault = ""
+
+    def accept(self, message: Any) -> None:
+        """A message came."""
+        if self.endpoint.stamp is not None and not self._is_new(message):
+            return
+        value = self.value_of(message)
+        if math.isfinite(value):
+            self.latest, self._heard, self._fault = value, time.monotonic(), ""
+        for listener in tuple(self.listeners):
+            listener(value)
+
+    def value_of(self, message: Any) -> float:
+        """The value in a message; NaN where it has none."""
+        assert self.endpoint.field is not None
+        try:
+            value = self._convert(read(message, self.endpoint.field))
+        except FieldError as error:
+            self._fault = str(error)
+            return math.nan
+        if not math.isfinite(value):
+            self._fault = f"it is {value}"
+        return value if math.isfinite(value) else math.nan
+
+    def fail(self, reason: str) -> None:
+        """No message came, for this reason."""
+        self._fault = reason
+
+    @property
+    def problem(self) -> str:
+        """Why the latest value does not count, in a few words; empty where it does."""
+        if not math.isfinite(self._heard):
+            return f"the {self.endpoint.target} gave no value yet" + self.because
+        # What is published only when it changes never gets old, but its publisher may be gone.
+        if math.isinf(self.endpoint.stale_after) and self.count_publishers() == 0:
+            return f"the {self.endpoint.target} has no publisher"
+        age = time.monotonic() - self._heard
+        if age > self.endpoint.stale_after:
+            return f"the {self.endpoint.target} gave no value for {age:.1f} s" + self.because
+        return ""
+
+    @property
+    def because(self) -> str:
+        """What was wrong with the last message, in brackets; empty where nothing was."""
+        return f" ({self._fault})" if self._fault else ""
+
+    def _is_new(self, message: Any) -> bool:
+        assert self.endpoint.stamp is not None
+        try:
+            stamp = seconds(read(message, self.endpoint.stamp))
+        except FieldError as error:
+            self._fault = str(error)
+            return False
+        now = seconds(self._clock.now().to_msg())
+        if stamp == self._stamp:
+            self._fault = "its stamp does not advance"
+            return False
+        if stamp < self.not_before:
+            self._fault = "its stamp is from before the measurement"
+            return False
+        if now - stamp > self.endpoint.stale_after:
+            self._fault = f"its stamp is {now - stamp:.1f} s old"
+            return False
+        if stamp < self._stamp:
+            self._fault = "its stamp goes back"
+            return False
+        self._stamp = stamp
+        return True
+
+
+class Signals:
+    """All signals of a node, each topic subscribed to once, each service polled at its period."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._subscriptions: dict[tuple[Target, str], tuple[Any, list[Signal]]] = {}
+
+    def number(self, endpoint: Endpoint) -> Signal:
+        """The signal of a number.
+
+        Raises:
+            MappingError: the endpoint does not fit the installed types.
+        """
+        return self._add(endpoint, endpoint.value)
+
+    def condition(self, condition: Condition) -> Signal:
+        """The signal of a condition: 1 where it holds, 0 where not.
+
+        Raises:
+            MappingError: the endpoint does not fit the installed types.
+        """
+        return self._add(condition.endpoint, lambda raw: float(condition.holds(raw)))
+
+    def _add(self, endpoint: Endpoint, convert: Callable[[object], float]) -> Signal:
+        signal = Signal(self._node.get_clock(), endpoint, convert)
+        if endpoint.target.kind == "topic":
+            self._subscribe(signal)
+        else:
+            self._poll(signal)
+        return signal
+
+    def _subscribe(self, signal: Signal) -> None:
+        endpoint = signal.endpoint
+        message_type = load(endpoint)
+        check_fields(endpoint, message_type)
+        key = (endpoint.target, endpoint.qos)
+        if key not in self._subscriptions:
+            signals: list[Signal] = []
+
+            def accept(message: Any) -> None:
+                for each in signals:
+                    each.accept(message)
+
+            subscription = create(
+                endpoint,
+                lambda: self._node.create_subscription(
+                    message_type, endpoint.target.name, accept, _QOS[endpoint.qos]
+                ),
+            )
+            self._subscriptions[key] = (subscription, signals)
+        subscription, signals = self._subscriptions[key]
+        signals.append(signal)
+        signal.count_publishers = subscription.get_publisher_count
+
+    def _poll(self, signal: Signal) -> None:
+        call = Call(self._node, signal.endpoint)
+        check_fields(signal.endpoint, call.answer_type)
+        asking = False
+
+        async def wait(future: Future, timeout: float) -> bool:
+            return await first_of(self._node, future, timeout=timeout) is not None
+
+        def tick() -> None:
+            # As a task: a timer whose callback waits would keep the node's other callbacks waiting.
+            nonlocal asking
+            if not asking and self._node.executor is not None:
+                asking = True
+                self._node.executor.create_task(ask)
+
+        async def ask() -> None:
+            nonlocal asking
+            try:
+                signal.accept(await call(wait))
+            except CallError as error:
+                signal.fail(str(error))
+            finally:
+                asking = False
+
+        self._node.create_timer(signal.endpoint.period, tick, clock=_STEADY)
+
+
+def check_fields(endpoint: Endpoint, message_type: Any) -> None:
+    """Check that the endpoint's value and stamp are in its messages; MappingError if not."""
+    field, stamp = endpoint.field, endpoint.stamp
+    if field is not None:
+        check(endpoint, "field", lambda: check_readable(message_type, field))
+    if stamp is not None:
+        check(endpoint, "stamp", lambda: check_time(message_type, stamp))

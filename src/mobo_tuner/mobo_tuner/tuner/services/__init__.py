@@ -1,0 +1,1 @@
+"""What the tuner offers to clients: actions, services and parameters."""

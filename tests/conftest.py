@@ -1,0 +1,143 @@
+"""Fixtures of tests with real ROS: a domain of one's own, and nodes in it."""
+
+from __future__ import annotations
+
+import fcntl
+import itertools
+import os
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from tests.support.processes import TIMEOUT, NodeProcess, NodeStarter
+from tests.support.tuner import CONFIG, GoalClient, Services, tune_client
+
+# Loading the support of a ROS type imports lark, whose deprecated imports are not ours to mend.
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", DeprecationWarning)
+    import lark  # noqa: F401
+
+# Domain 0 is everybody's; above 101 the ports of a domain collide with Linux's ephemeral ones.
+DOMAINS = range(1, 102)
+# Each test takes the next one: what an earlier test left in this process is then out of the way.
+_numbers = itertools.count(os.getpid())
+
+
+@pytest.fixture
+def ros_domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """A ROS domain id that no other test and no run on this machine uses, set for this process."""
+    for number in itertools.islice(_numbers, len(DOMAINS)):
+        domain = DOMAINS[number % len(DOMAINS)]
+        lock = (Path(tempfile.gettempdir()) / f"mobo-ros-domain-{domain}.lock").open("a")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+            continue
+        break
+    else:
+        pytest.fail("no free ROS domain")
+    with lock:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+        monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros_log"))
+        monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+        yield domain
+
+
+@pytest.fixture
+def context(ros_domain: int) -> Iterator[Context]:
+    """An rclpy context in the test's domain."""
+    context = Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    yield context
+    context.try_shutdown()
+
+
+@pytest.fixture
+def executor(context: Context) -> Iterator[SingleThreadedExecutor]:
+    """An executor of the test's context; the test spins it."""
+    executor = SingleThreadedExecutor(context=context)
+    yield executor
+    executor.shutdown(timeout_sec=1.0)
+
+
+@pytest.fixture
+def node(context: Context, executor: SingleThreadedExecutor) -> Iterator[Node]:
+    """A node of the test process, on the executor."""
+    node = Node("test_node", context=context)
+    executor.add_node(node)
+    yield node
+    executor.remove_node(node)
+    node.destroy_node()
+
+
+@pytest.fixture
+def spin_until(
+    executor: SingleThreadedExecutor,
+) -> Callable[..., None]:
+    """Spin the executor until a condition holds: ``spin_until(condition, what, timeout)``."""
+
+    def spin(condition: Callable[[], object], what: str, timeout: float = TIMEOUT) -> None:
+        deadline = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() > deadline:
+                pytest.fail(f"waited {timeout:g} s in vain for {what}")
+            executor.spin_once(timeout_sec=0.05)
+
+    return spin
+
+
+@pytest.fixture
+def start_node(ros_domain: int, tmp_path: Path) -> Iterator[NodeStarter]:
+    """Start ``python ARGUMENTS...`` in the test's domain; whatever still runs is killed after it."""
+    del ros_domain  # has set the environment
+    starter = NodeStarter(tmp_path)
+    yield starter
+    for process in starter.processes:
+        process.kill()
+
+
+@pytest.fixture
+def start_tuner(start_node: NodeStarter, tmp_path: Path) -> Callable[..., NodeProcess]:
+    """Start the tuner with parameters such as ``seed:=3``; runs are kept in ``tmp_path/runs``."""
+
+    def start(*parameters: str, config: str | Path = "toy.yaml") -> NodeProcess:
+        settings = (f"runs_dir:={tmp_path / 'runs'}", *parameters)
+        options = [word for text in settings for word in ("-p", f"tuner:{text}")]
+        file = ["--params-file", str(CONFIG / config)]
+        return start_node("-m", "mobo_tuner.nodes.tuner", "--ros-args", *file, *options)
+
+    return start
+
+
+@pytest.fixture
+def start_machine(start_node: NodeStarter) -> Callable[..., NodeProcess]:
+    """Start the simulated machine with parameters such as ``speed:=10.0``."""
+
+    def start(*parameters: str, config: str = "toy.yaml") -> NodeProcess:
+        options = [word for text in parameters for word in ("-p", f"awa_sim:{text}")]
+        file = ["--params-file", str(CONFIG / config)]
+        return start_node("-m", "awa_sim_node.node", "--ros-args", *file, *options)
+
+    return start
+
+
+@pytest.fixture
+def client(node: Node, spin_until: Callable[..., None]) -> GoalClient:
+    """A client of the `tune` action."""
+    return tune_client(node, spin_until)
+
+
+@pytest.fixture
+def services(node: Node, spin_until: Callable[..., None]) -> Services:
+    """Calls the tuner's services."""
+    return Services(node, spin_until)

@@ -1,0 +1,161 @@
+"""A project folder with the real entry script and, in place of the nodes, programs that play them.
+
+The programs are real processes: what they do at which signal is what the tests are about.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from launcher.environment import DEVELOPMENT_STAGES, STAGES, Environment
+
+ROOT = Path(__file__).resolve().parents[2]
+TIMEOUT = 20.0  # [s] for anything to happen
+
+PLAYER = """
+import json, os, signal, subprocess, sys, time
+module = sys.argv[sys.argv.index("-m") + 1]
+name = {"node": "machine"}.get(module.rpartition(".")[2], module.rpartition(".")[2])
+behaviour = os.environ.get(f"PLAY_{name.upper()}", "")
+
+def note(text):
+    with open(os.environ["PLAY_EVENTS"], "a") as file:
+        file.write(f"{name} {text}\\n")
+
+def events():
+    with open(os.environ["PLAY_EVENTS"]) as file:
+        return file.read()
+
+def stop(number, frame):
+    note("stopping")
+    if behaviour == "slow":
+        time.sleep(0.7)
+    note("stopped")
+    sys.exit(4 if behaviour == "ends badly" else 0)
+
+signal.signal(signal.SIGINT, signal.SIG_IGN if behaviour == "stubborn" else stop)
+signal.signal(signal.SIGTERM, signal.SIG_IGN if behaviour == "stubborn" else stop)
+note(f"started {os.getpid()}")
+if name == "check_config":
+    if behaviour == "refuse":
+        sys.exit("reference of eps_x is 1.0; it must lie in its truncation box")
+    sys.exit(0)
+if name == "pytest":
+    print(*sys.argv[sys.argv.index("-m") + 2 :], os.environ.get("PYTHONPATH"))
+    if behaviour == "wait":
+        time.sleep(60)
+    sys.exit(5)
+if name == "report":
+    if behaviour == "crash":
+        sys.exit("the journal is damaged")
+    print("the front")
+    sys.exit(0)
+if behaviour == "crash":
+    print("one", "two", "the magnet quenched", sep="\\n", file=sys.stderr)
+    sys.exit(3)
+if behaviour == "family":
+    child = [sys.executable, "-c", "import time; time.sleep(60)"]
+    note(f"started {subprocess.Popen(child, start_new_session=True).pid}")
+if name == "console":
+    with open("journal.jsonl", "w") as file:
+        file.write("{}\\n")
+    print("tuning")
+    for _ in range(600):
+        if all(f"{node} ready" in events() for node in ("machine", "tuner", "recorder")):
+            break
+        time.sleep(0.05)
+    note("ready")
+    if behaviour == "fail":
+        sys.exit("[INFO] something\\nthe machine refused evaluation 3")
+    if behaviour not in ("wait", "stubborn"):
+        sys.exit(0)
+note("ready")
+for _ in range(600):
+    time.sleep(0.1)
+"""
+
+
+class FakeProject:
+    """A temporary project folder; its `.venv` is fresh as far as the entry script can tell."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.events_file = root / "events"
+        self.events_file.touch()
+        self._started: list[subprocess.Popen[str]] = []
+        shutil.copy(ROOT / "mobo.py", root)
+        shutil.copytree(ROOT / "launcher", root / "launcher")
+        (root / "config").mkdir()
+        (root / "config" / "awa.yaml").write_text("/**: {}\n")
+        stages = (*STAGES, *DEVELOPMENT_STAGES)
+        for source in {source for stage in stages for source in stage.sources}:
+            (root / source).mkdir(parents=True) if "/" in source else (root / source).touch()
+        player = root / "player.py"
+        player.write_text(PLAYER)
+        environment = Environment(root, stages)
+        environment.python.parent.mkdir(parents=True)
+        environment.python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{player}" "$@"\n')
+        environment.python.chmod(0o755)
+        for stage in stages:
+            environment.mark_done(stage, environment.fingerprint(stage))
+
+    def start(self, *arguments: str, **behaviour: str) -> subprocess.Popen[str]:
+        """Start the entry script; keywords say how programs behave, e.g. machine='crash'."""
+        plays = {f"PLAY_{name.upper()}": value for name, value in behaviour.items()}
+        process = subprocess.Popen(
+            [sys.executable, str(self.root / "mobo.py"), *arguments],
+            env={**os.environ, "PLAY_EVENTS": str(self.events_file), **plays},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        self._started.append(process)
+        return process
+
+    def run(self, *arguments: str, **behaviour: str) -> tuple[int, str, str]:
+        """Run the entry script to its end: exit status, output, errors."""
+        process = self.start(*arguments, **behaviour)
+        output, errors = process.communicate(timeout=TIMEOUT)
+        return process.returncode, output, errors
+
+    @property
+    def events(self) -> list[str]:
+        """What the programs did, in order."""
+        return self.events_file.read_text().splitlines()
+
+    def wait_for_event(self, *events: str) -> None:
+        """Wait until all of the events have happened."""
+        wait_until(lambda: set(events) <= set(self.events), f"{events} in {self.events}")
+
+    def alive(self) -> list[str]:
+        """The programs that are still running."""
+        starts = [event.split() for event in self.events if " started " in event]
+        return [name for name, _, pid in starts if _is_alive(int(pid))]
+
+    def close(self) -> None:
+        """End the entry scripts that a failed test left behind; their watchdogs do the rest."""
+        for process in self._started:
+            process.kill()
+            process.communicate(timeout=TIMEOUT)
+
+
+def wait_until(condition: Callable[[], bool], what: str) -> None:
+    """Wait until a condition holds; fail the test if it does not in time."""
+    deadline = time.monotonic() + TIMEOUT
+    while not condition():
+        assert time.monotonic() < deadline, f"still waiting for {what}"
+        time.sleep(0.02)
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False

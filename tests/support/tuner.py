@@ -1,0 +1,233 @@
+"""Clients of the tuner and of a machine, in plain rclpy, and a machine that answers as it is told."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+import uuid
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from action_msgs.srv import CancelGoal
+from rcl_interfaces.srv import GetParameterTypes, SetParametersAtomically
+from rclpy.action import ActionClient, ActionServer, CancelResponse
+from rclpy.client import Client
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.task import Future
+from std_srvs.srv import Trigger
+
+from mobo_msgs_py import msg
+from mobo_msgs_py.action import EvaluateSetpoint, Tune
+from mobo_msgs_py.srv import DescribeMachine
+from mobo_tuner.ros.waiting import first_of
+from tests.support.processes import TIMEOUT
+
+CONFIG = Path(__file__).parents[2] / "config"
+Spin = Callable[..., None]
+
+
+def meet(probe: Client, request: Any, spin_until: Spin) -> None:
+    """Wait until a server knows of all the clients that were made before `probe`.
+
+    Client and server discover each other in their own time, and a server drops the answer to a
+    client that it has not discovered yet. So the server is asked what does no harm, until it answers.
+    """
+    spin_until(probe.service_is_ready, f"the service {probe.srv_name}")
+    deadline = time.monotonic() + TIMEOUT
+    while time.monotonic() < deadline:
+        answer = probe.call_async(request)
+        again = time.monotonic() + 1.0
+        spin_until(lambda: answer.done() or time.monotonic() > again, "")  # noqa: B023
+        if answer.done():
+            return
+        probe.remove_pending_request(answer)
+    pytest.fail(f"waited {TIMEOUT:g} s in vain for an answer on '{probe.srv_name}'")
+
+
+class GoalClient:
+    """Sends goals to one action and waits for what comes back."""
+
+    def __init__(self, node: Node, spin_until: Spin, action: type, name: str) -> None:
+        self._client = ActionClient(node, action, name)
+        # Made last: a server that answers it has discovered all of the action client.
+        self._probe = node.create_client(CancelGoal, f"{name}/_action/cancel_goal")
+        self._spin_until = spin_until
+        self._name = name
+        self.feedback: list[Any] = []
+        self.result: Future | None = None
+        self.handle: Any = None
+
+    def send(self, goal: Any) -> None:
+        """Send a goal and wait until it is accepted."""
+        self._spin_until(self._client.server_is_ready, f"the server of {self._name}")
+        nobodys = CancelGoal.Request()
+        nobodys.goal_info.goal_id.uuid = list(uuid.uuid4().bytes)
+        meet(self._probe, nobodys, self._spin_until)
+        sent = self._client.send_goal_async(
+            goal, feedback_callback=lambda message: self.feedback.append(message.feedback)
+        )
+        self._spin_until(sent.done, "the answer to a goal")
+        self.handle = sent.result()
+        assert self.handle.accepted
+        self.result = self.handle.get_result_async()
+
+    def cancel(self) -> None:
+        """Ask to cancel the goal sent last."""
+        self.handle.cancel_goal_async()
+
+    def wait(self, timeout: float = 30.0) -> Any:
+        """The result of the goal sent last."""
+        assert self.result is not None
+        self._spin_until(self.result.done, f"the result of {self._name}", timeout)
+        return self.result.result().result
+
+
+def tune_client(node: Node, spin_until: Spin) -> GoalClient:
+    """A client of the `tune` action."""
+    return GoalClient(node, spin_until, Tune, "tune")
+
+
+def machine_client(node: Node, spin_until: Spin) -> GoalClient:
+    """A client of the `evaluate_setpoint` action."""
+    return GoalClient(node, spin_until, EvaluateSetpoint, "evaluate_setpoint")
+
+
+class Services:
+    """Calls services of a node by their type and name, and sets the tuner's parameters."""
+
+    def __init__(self, node: Node, spin_until: Spin, of: str = "tuner") -> None:
+        self._node = node
+        self._spin_until = spin_until
+        self._of = of
+
+    def call(self, kind: type, name: str, request: Any = None, timeout: float = 30.0) -> Any:
+        """The response of one call."""
+        client = self._node.create_client(kind, name)
+        probe = self._node.create_client(GetParameterTypes, f"{self._of}/get_parameter_types")
+        self._spin_until(client.service_is_ready, f"the service {name}")
+        meet(probe, GetParameterTypes.Request(), self._spin_until)
+        self._node.destroy_client(probe)
+        future = client.call_async(kind.Request() if request is None else request)
+        self._spin_until(future.done, f"the answer of {name}", timeout)
+        self._node.destroy_client(client)
+        return future.result()
+
+    def trigger(self, name: str) -> Any:
+        """The response of one of the tuner's triggers."""
+        return self.call(Trigger, name)
+
+    def set(self, **values: Any) -> Any:
+        """Set parameters of the tuner at once; `__` stands for a dot. Gives the result."""
+        parameters = [
+            Parameter(name.replace("__", "."), value=value).to_parameter_msg()
+            for name, value in values.items()
+        ]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        return self.call(SetParametersAtomically, "tuner/set_parameters_atomically", request).result
+
+
+class Listener:
+    """Keeps every message of one topic."""
+
+    def __init__(self, node: Node, kind: type, topic: str, qos: Any) -> None:
+        self.messages: list[Any] = []
+        self.subscription = node.create_subscription(kind, topic, self.messages.append, qos)
+
+
+def journal(tmp_path: Path, run_id: str) -> list[dict[str, Any]]:
+    """The records of a run."""
+    text = (tmp_path / "runs" / run_id / "journal.jsonl").read_text(encoding="utf-8")
+    return [json.loads(line) for line in text.splitlines()]
+
+
+Answerer = Callable[[EvaluateSetpoint.Goal], tuple[Mapping[str, float], int, str]]
+
+
+class ScriptedMachine:
+    """A machine of the toy problem's shape, written against the interface package alone.
+
+    Attributes:
+        answer: gives, for a goal, the diagnostics, the error code and the error message.
+        goals: that came so far.
+        held: while true, evaluations go on, until they are canceled.
+        silent: while true, evaluations go on without feedback, and cancels are not heeded.
+        times: when the goals came, by `time.monotonic` [s].
+        identity: gives the run id, index and attempt that a result carries.
+    """
+
+    def __init__(self, node: Node, answer: Answerer) -> None:
+        self.answer = answer
+        self.goals: list[EvaluateSetpoint.Goal] = []
+        self.times: list[float] = []
+        self.held = False
+        self.silent = False
+        self.identity: Callable[[EvaluateSetpoint.Goal], tuple[str, int, int]] = lambda goal: (
+            goal.run_id,
+            goal.index,
+            goal.attempt,
+        )
+        self._node = node
+        self._service = node.create_service(DescribeMachine, "describe_machine", self._describe)
+        self._server = ActionServer(
+            node,
+            EvaluateSetpoint,
+            "evaluate_setpoint",
+            self._execute,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            result_timeout=10,
+        )
+
+    def close(self) -> None:
+        """Go away."""
+        self._server.destroy()
+        self._node.destroy_service(self._service)
+
+    @staticmethod
+    def _describe(
+        _: DescribeMachine.Request, response: DescribeMachine.Response
+    ) -> DescribeMachine.Response:
+        response.name = "scripted"
+        response.variables = [msg.Variable(name=n, min=-2.0, max=2.0) for n in ("x1", "x2")]
+        response.diagnostics = [msg.Observable(name=n) for n in ("f1", "f2")]
+        return response
+
+    async def _execute(self, handle: Any) -> EvaluateSetpoint.Result:
+        goal = handle.request
+        self.goals.append(goal)
+        self.times.append(time.monotonic())
+        while self.silent:
+            await first_of(self._node, timeout=0.1)
+        while self.held and not handle.is_cancel_requested:
+            handle.publish_feedback(EvaluateSetpoint.Feedback(phase="measuring"))
+            await first_of(self._node, timeout=0.1)
+        values, code, text = self.answer(goal)
+        if handle.is_cancel_requested:
+            values, code, text = {}, EvaluateSetpoint.Result.CANCELED, "stopped"
+        run_id, index, attempt = self.identity(goal)
+        result = EvaluateSetpoint.Result(
+            run_id=run_id, index=index, attempt=attempt, error_code=code, error_msg=text
+        )
+        result.readbacks = list(goal.setpoint)
+        result.diagnostics = [
+            msg.NamedValue(name=n, value=v, stddev=math.nan) for n, v in values.items()
+        ]
+        if handle.is_cancel_requested:
+            handle.canceled()
+        elif code == EvaluateSetpoint.Result.NONE:
+            handle.succeed()
+        else:
+            handle.abort()
+        return result
+
+
+def toy_values(goal: EvaluateSetpoint.Goal) -> dict[str, float]:
+    """The paper's toy problem, Eq. (eqn:toy_problem)."""
+    x = {item.name: item.value for item in goal.setpoint}
+    return {
+        "f1": math.hypot(x["x1"] - 1.0, x["x2"] - 1.0),
+        "f2": math.hypot(x["x1"] + 1.0, x["x2"] + 1.0),
+    }

@@ -1,0 +1,223 @@
+"""Evaluations that fail, answers that are not the ones asked for, and machines that go and return."""
+
+from __future__ import annotations
+
+import itertools
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from rclpy.node import Node
+
+from mobo_msgs_py import msg
+from mobo_msgs_py.action import EvaluateSetpoint, Tune
+from mobo_tuner.ros.qos import LATCHED
+from tests.support.processes import NodeProcess
+from tests.support.tuner import GoalClient, Listener, ScriptedMachine, journal, toy_values
+
+RESULT = EvaluateSetpoint.Result
+FAILED = RESULT.INVALID_MEASUREMENT
+
+
+def identities(machine: ScriptedMachine) -> list[tuple[int, int]]:
+    return [(goal.index, goal.attempt) for goal in machine.goals]
+
+
+def test_a_failed_evaluation_is_tried_again_after_longer_and_longer(
+    start_tuner: Callable[..., NodeProcess], client: GoalClient, node: Node, tmp_path: Path
+) -> None:
+    def answer(goal: EvaluateSetpoint.Goal) -> tuple[dict[str, float], int, str]:
+        if goal.index == 1 and goal.attempt < 2:
+            return {}, RESULT.TIMEOUT, "the readback stuck"
+        if goal.index == 2:
+            return {}, FAILED, "no beam"
+        return toy_values(goal), RESULT.NONE, ""
+
+    machine = ScriptedMachine(node, answer)
+    start_tuner("on_failure:=retry", "max_attempts:=3", "retry_delay:=0.3")
+    client.send(Tune.Goal(run_id="again", evaluations=4))
+    assert client.wait().error_code == 0
+    assert identities(machine) == [(0, 0), (1, 0), (1, 1), (1, 2), (2, 0), (2, 1), (2, 2), (3, 0)]
+    assert len({goal.setpoint[0].value for goal in machine.goals[1:4]}) == 1
+    pauses = [later - earlier for earlier, later in itertools.pairwise(machine.times)]
+    assert 0.3 < pauses[1] < pauses[2]
+    assert pauses[2] > 0.6
+    records = journal(tmp_path, "again")[1:-1]
+    assert [r["attempts"] for r in records] == [1, 3, 3, 1]
+    assert [r["valid"] for r in records] == [True, True, False, True]
+    assert records[2]["error_msg"] == "no beam"
+
+
+@pytest.mark.parametrize(
+    ("code", "policy", "sentence", "count"),
+    [
+        (FAILED, "abort", "evaluation 1 failed: no", 2),
+        (RESULT.INTERLOCK, "retry", "the machine refused evaluation 1: no", 3),
+        (RESULT.BUSY, "skip", "the machine refused evaluation 1: no", 3),
+        (RESULT.INVALID_SETPOINT, "retry", "the machine refused evaluation 1: no", 2),
+        (RESULT.CANCELED, "retry", "the machine stopped: no", 2),
+    ],
+)
+def test_what_cannot_go_on_ends_the_run(
+    start_tuner: Callable[..., NodeProcess],
+    client: GoalClient,
+    node: Node,
+    code: int,
+    policy: str,
+    sentence: str,
+    count: int,
+) -> None:
+    machine = ScriptedMachine(
+        node, lambda goal: (toy_values(goal), code if goal.index else RESULT.NONE, "no")
+    )
+    start_tuner(f"on_failure:={policy}", "max_attempts:=2", "retry_delay:=0.1")
+    client.send(Tune.Goal(evaluations=50))
+    result = client.wait()
+    assert (result.error_code, result.error_msg) == (Tune.Result.MACHINE_ERROR, sentence)
+    assert len(machine.goals) == count
+    # What failed is kept, what was refused is not an evaluation.
+    assert result.evaluations == (2 if policy == "abort" else 1)
+
+
+def test_answers_to_other_evaluations_are_dropped_with_a_warning(
+    start_tuner: Callable[..., NodeProcess], client: GoalClient, node: Node, tmp_path: Path
+) -> None:
+    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), RESULT.NONE, ""))
+
+    def identity(goal: EvaluateSetpoint.Goal) -> tuple[str, int, int]:
+        wrong = {1: ("another", 1, 0), 2: (goal.run_id, 1, 0), 3: (goal.run_id, 3, 7)}
+        return wrong.get(goal.index, (goal.run_id, goal.index, goal.attempt))
+
+    machine.identity = identity
+    tuner = start_tuner()
+    client.send(Tune.Goal(run_id="mine", evaluations=5))
+    assert client.wait().error_code == 0
+    records = journal(tmp_path, "mine")[1:-1]
+    assert [r["valid"] for r in records] == [True, False, False, False, True]
+    assert [r["diagnostics"] for r in records[1:4]] == [{}, {}, {}]
+    for text in (
+        "evaluation 1, attempt 0 of run 'another', not for evaluation 1, attempt 0 of run 'mine'",
+        "evaluation 1, attempt 0 of run 'mine', not for evaluation 2, attempt 0 of run 'mine'",
+        "evaluation 3, attempt 7 of run 'mine', not for evaluation 3, attempt 0 of run 'mine'",
+    ):
+        assert f"{text}; that answer is dropped" in tuner.stderr
+
+
+def test_a_machine_that_was_silent_is_asked_again_and_its_late_answer_dropped(
+    start_tuner: Callable[..., NodeProcess],
+    client: GoalClient,
+    node: Node,
+    spin_until: Callable[..., None],
+    tmp_path: Path,
+) -> None:
+    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), RESULT.NONE, ""))
+    tuner = start_tuner("machine_timeout:=1.0", "machine_return_timeout:=20.0")
+    machine.silent = True
+    client.send(Tune.Goal(run_id="slow", evaluations=3))
+    spin_until(lambda: len(machine.goals) == 2, "the second attempt")
+    machine.silent = False
+    assert client.wait().error_code == 0
+    assert identities(machine) == [(0, 0), (0, 1), (1, 0), (2, 0)]
+    assert "the machine has been silent for 1.0 s; the run waits up to 20 s" in tuner.stderr
+    late = "the answer to evaluation 0, attempt 0 of run 'slow' came too late and is dropped"
+    spin_until(lambda: late in tuner.stderr, "the warning")
+    records = journal(tmp_path, "slow")[1:-1]
+    assert [(r["index"], r["attempts"]) for r in records] == [(0, 2), (1, 1), (2, 1)]
+
+
+def test_a_run_goes_on_when_its_machine_returns(
+    start_tuner: Callable[..., NodeProcess],
+    start_machine: Callable[..., NodeProcess],
+    client: GoalClient,
+    node: Node,
+    spin_until: Callable[..., None],
+    tmp_path: Path,
+) -> None:
+    machine = start_machine("speed:=50.0", config="awa.yaml")
+    start_tuner("machine_timeout:=1.0", "machine_return_timeout:=60.0", config="awa.yaml")
+    statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
+    client.send(Tune.Goal(run_id="returns", evaluations=5))
+    spin_until(lambda: len(client.feedback) >= 2, "two evaluations")
+    machine.kill()
+    spin_until(lambda: statuses.messages[-1].state == msg.TunerStatus.WAITING, "a waiting tuner")
+    assert "waiting for its return" in statuses.messages[-1].message
+    start_machine("speed:=1000.0", config="awa.yaml")
+    result = client.wait(60.0)
+    assert (result.error_code, result.stop_reason) == (0, "budget")
+    records = journal(tmp_path, "returns")[1:-1]
+    assert [r["index"] for r in records] == list(range(5))
+    assert all(r["valid"] for r in records)
+    assert max(r["attempts"] for r in records) == 2
+
+
+def test_a_machine_that_does_not_return_in_time_ends_the_run(
+    start_tuner: Callable[..., NodeProcess],
+    client: GoalClient,
+    node: Node,
+    spin_until: Callable[..., None],
+) -> None:
+    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), RESULT.NONE, ""))
+    start_tuner("machine_timeout:=1.0", "machine_return_timeout:=1.5")
+    machine.held = True
+    client.send(Tune.Goal(evaluations=5))
+    spin_until(lambda: machine.goals, "an evaluation")
+    machine.close()
+    machine.silent = True
+    result = client.wait()
+    assert result.error_code == Tune.Result.MACHINE_LOST
+    assert "silent for 1.0 s, and did not return within 1.5 s" in result.error_msg
+
+
+def test_a_machine_that_returns_may_take_its_time_to_be_ready(
+    start_tuner: Callable[..., NodeProcess],
+    client: GoalClient,
+    node: Node,
+    spin_until: Callable[..., None],
+) -> None:
+    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), RESULT.NONE, ""))
+    codes = [RESULT.MACHINE_LOST, *[RESULT.NOT_ACTIVE] * 3, *[RESULT.BUSY] * 3]
+
+    def answer(goal: EvaluateSetpoint.Goal) -> tuple[dict[str, float], int, str]:
+        code = codes.pop(0) if codes else RESULT.NONE
+        return toy_values(goal), code, "not yet" if code else ""
+
+    machine.answer = answer
+    start_tuner("retry_delay:=0.1", "max_attempts:=2", "machine_return_timeout:=30.0")
+    client.send(Tune.Goal(evaluations=2))
+    assert client.wait().error_code == 0
+    assert identities(machine) == [*((0, attempt) for attempt in range(8)), (1, 0)]
+    # And one that never gets ready is not waited for without end.
+    codes.extend([RESULT.MACHINE_LOST] * 1000)
+    client.send(Tune.Goal(evaluations=2))
+    count = len(machine.goals)
+    spin_until(lambda: len(machine.goals) > count + 2, "further attempts")
+    client.cancel()
+    assert client.wait().error_code == Tune.Result.CANCELED
+
+
+def test_a_tuner_that_was_frozen_goes_on_where_it_was(
+    start_tuner: Callable[..., NodeProcess],
+    start_machine: Callable[..., NodeProcess],
+    client: GoalClient,
+    node: Node,
+    spin_until: Callable[..., None],
+    tmp_path: Path,
+) -> None:
+    machine = start_machine("speed:=10.0", "mode:=ideal", config="awa.yaml")
+    settings = ("client_timeout:=1.5", "on_client_lost:=restore", "machine_return_timeout:=60.0")
+    tuner = start_tuner("machine_timeout:=2.0", *settings, config="awa.yaml")
+    statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
+    client.send(Tune.Goal(run_id="frozen", evaluations=4))
+    spin_until(
+        lambda: client.feedback and statuses.messages[-1].phase == "ramping", "the second move"
+    )
+    tuner.popen.send_signal(signal.SIGSTOP)
+    lost = "the heartbeat of run 'frozen' stopped for more than 1.5 s"
+    spin_until(lambda: lost in machine.stderr, "the machine to notice")
+    tuner.popen.send_signal(signal.SIGCONT)
+    result = client.wait(60.0)
+    assert (result.error_code, result.evaluations) == (0, 4)
+    records = journal(tmp_path, "frozen")[1:-1]
+    assert all(r["valid"] for r in records)
+    assert max(r["attempts"] for r in records) >= 2

@@ -1,0 +1,239 @@
+"""Where the machine is left: after a cancel, a stop or an error, a violation, and a tuner that dies."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rclpy.node import Node
+
+from mobo_msgs_py import msg
+from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint, Tune
+from mobo_tuner.ros.qos import LATCHED
+from tests.support.processes import NodeProcess
+from tests.support.tuner import (
+    CONFIG,
+    GoalClient,
+    Listener,
+    ScriptedMachine,
+    Services,
+    journal,
+    toy_values,
+)
+
+RESULT = EvaluateSetpoint.Result
+# Where the simulated injector stands when it is switched on.
+BEFORE = {"K1": 475.0, "K2": 230.0, "phi1": -5.0, "phi2": -5.0, "G1": 67.5, "G2": 20.0}
+
+
+class Position:
+    """Where the machine is: a move to nowhere is refused, and says it."""
+
+    def __init__(self, node: Node, spin_until: Callable[..., None]) -> None:
+        self._client = GoalClient(node, spin_until, ApplySetpoint, "apply_setpoint")
+
+    def __call__(self) -> dict[str, float]:
+        self._client.send(ApplySetpoint.Goal())
+        return {item.name: item.value for item in self._client.wait().readbacks}
+
+
+@pytest.fixture
+def position(node: Node, spin_until: Callable[..., None]) -> Position:
+    return Position(node, spin_until)
+
+
+def moving(client: GoalClient, statuses: Listener) -> bool:
+    """Whether the machine is on its way to another evaluation than the first."""
+    last = statuses.messages[-1] if statuses.messages else msg.TunerStatus()
+    return bool(client.feedback) and last.state == last.EVALUATING and last.phase == "ramping"
+
+
+def test_after_a_cancel_the_machine_goes_back_ramped_and_verified(
+    start_tuner: Callable[..., NodeProcess],
+    start_machine: Callable[..., NodeProcess],
+    client: GoalClient,
+    node: Node,
+    spin_until: Callable[..., None],
+    position: Position,
+    tmp_path: Path,
+) -> None:
+    start_machine("speed:=20.0", "mode:=ideal", config="awa.yaml")
+    start_tuner("on_abort:=restore", config="awa.yaml")
+    statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
+    assert position() == BEFORE
+    client.send(Tune.Goal(run_id="canceled", evaluations=50))
+    spin_until(lambda: moving(client, statuses), "a move")
+    client.cancel()
+    spin_until(lambda: statuses.messages[-1].state == msg.TunerStatus.MOVING, "the way back")
+    assert position() != BEFORE
+    result = client.wait()
+    assert result.error_code == Tune.Result.CANCELED
+    assert result.error_msg == (
+        "the run was stopped: a client canceled it; the machine went to the state before the run"
+    )
+    assert position() == BEFORE
+    assert journal(tmp_path, "canceled")[-1]["error_msg"] == result.error_msg
+
+
+def test_a_stopped_tuner_leaves_in_time_and_the_machine_goes_back_by_itself(
+    start_tuner: Callable[..., NodeProcess],
+    start_machine: Callable[..., NodeProcess],
+    client: GoalClient,
+    node: Node,
+    spin_until: Callable[..., None],
+    position: Position,
+) -> None:
+    machine = start_machine("speed:=5.0", "mode:=ideal", config="awa.yaml")
+    tuner = start_tuner("on_abort:=restore", "client_timeout:=2.0", config="awa.yaml")
+    statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
+    assert position() == BEFORE
+    client.send(Tune.Goal(evaluations=50))
+    spin_until(lambda: moving(client, statuses), "a move", 60.0)
+    assert tuner.stop(signal.SIGTERM, timeout=5.0) == 0
+    result = client.wait()
+    assert result.error_msg == (
+        "the run was stopped: the tuner was asked to stop; "
+        "the machine is going to the state before the run by itself"
+    )
+    spin_until(lambda: position() == BEFORE, "the machine to be back", 30.0)
+    assert machine.running
+
+
+@pytest.mark.parametrize("policy", ["restore", "hold"])
+def test_when_the_tuner_is_killed_amid_a_move_the_machine_does_what_it_was_told(
+    start_tuner: Callable[..., NodeProcess],
+    start_machine: Callable[..., NodeProcess],
+    client: GoalClient,
+    node: Node,
+    spin_until: Callable[..., None],
+    position: Position,
+    policy: str,
+) -> None:
+    machine = start_machine("speed:=5.0", "mode:=ideal", config="awa.yaml")
+    tuner = start_tuner(f"on_client_lost:={policy}", "client_timeout:=2.0", config="awa.yaml")
+    statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
+    client.send(Tune.Goal(run_id="killed", evaluations=50))
+    spin_until(lambda: moving(client, statuses), "a move", 60.0)
+    tuner.kill()
+    lost = "the heartbeat of run 'killed' stopped for more than 2 s"
+    spin_until(lambda: lost in machine.stderr, "the machine to notice")
+    if policy == "restore":
+        spin_until(lambda: position() == BEFORE, "the machine to be back", 30.0)
+    else:
+        assert position() == position() != BEFORE
+
+
+def test_the_best_point_is_the_one_with_the_largest_box(
+    start_tuner: Callable[..., NodeProcess],
+    start_machine: Callable[..., NodeProcess],
+    client: GoalClient,
+    spin_until: Callable[..., None],
+    position: Position,
+) -> None:
+    start_machine("speed:=1000.0")
+    start_tuner("on_abort:=best")
+    client.send(Tune.Goal(evaluations=1000))
+    spin_until(lambda: len(client.feedback) >= 8, "some evaluations")
+    client.cancel()
+    result = client.wait()
+    assert result.error_msg.endswith("; the machine went to the best point")
+    boxes = {}
+    for point in result.pareto_front.points:
+        f1, f2 = (objective.value for objective in point.objectives)
+        boxes[(4.3 - f1) * (4.3 - f2)] = {item.name: item.value for item in point.setpoint}
+    assert position() == pytest.approx(boxes[max(boxes)], abs=1e-9)
+
+
+def constrained_toy(tmp_path: Path, constraint: str) -> Path:
+    text = (CONFIG / "toy.yaml").read_text(encoding="utf-8")
+    old = "    # constraints:\n    #   g: {max: 0.5}\n"
+    assert old in text
+    path = tmp_path / "constrained.yaml"
+    path.write_text(text.replace(old, f"    constraints: {{g: {constraint}}}\n"))
+    return path
+
+
+def test_one_violating_shot_ends_the_evaluation_and_pauses_the_run(
+    start_tuner: Callable[..., NodeProcess],
+    start_machine: Callable[..., NodeProcess],
+    client: GoalClient,
+    services: Services,
+    node: Node,
+    spin_until: Callable[..., None],
+    position: Position,
+    tmp_path: Path,
+) -> None:
+    start_machine("speed:=1000.0")
+    start_tuner(
+        "on_violation:=restore",
+        "pause_on_violation:=true",
+        "initial_evaluations:=6",
+        config=constrained_toy(tmp_path, "{max: 0.5, critical: true}"),
+    )
+    statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
+    # A status that was on its way when the run was resumed is no pause.
+    resumed_after = 0  # evaluations
+
+    def paused() -> bool:
+        if not statuses.messages:
+            return False
+        status = statuses.messages[-1]
+        return status.state == msg.TunerStatus.PAUSED and status.evaluations > resumed_after
+
+    before = position()
+    client.send(Tune.Goal(run_id="violating", evaluations=6))
+    violations = 0
+    while client.result is None or not client.result.done():
+        spin_until(lambda: paused() or client.result.done(), "a violation or the end")
+        if paused():
+            violations += 1
+            assert position() == pytest.approx(before)
+            resumed_after = statuses.messages[-1].evaluations
+            assert services.trigger("resume").success
+    assert client.wait().error_code == 0
+    records = journal(tmp_path, "violating")[1:-1]
+    violating = [r for r in records if r["error_code"] == RESULT.VIOLATION]
+    assert [r["setpoint"]["x1"] > 0.5 for r in records] == [r in violating for r in records]
+    assert len(violating) >= 2
+    assert violations >= len(violating) - 1  # the last one may end the run by its budget
+    for record in violating:
+        assert not record["valid"]
+        assert "g = " in record["error_msg"]
+        assert "critical limits" in record["error_msg"]
+
+
+@pytest.mark.parametrize("event", ["on_abort", "on_violation", "on_client_lost"])
+def test_a_machine_that_cannot_say_where_it_is_cannot_be_restored(
+    start_tuner: Callable[..., NodeProcess], client: GoalClient, node: Node, event: str
+) -> None:
+    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), RESULT.NONE, ""))
+    start_tuner(f"{event}:=restore")
+    client.send(Tune.Goal(evaluations=5))
+    result = client.wait()
+    assert result.error_code == Tune.Result.MACHINE_UNAVAILABLE
+    assert result.error_msg == (
+        f"{event} is 'restore', but the state before the run is unknown: "
+        "the machine does not offer 'apply_setpoint'"
+    )
+    assert machine.goals == []
+
+
+def test_goals_tell_the_machine_what_to_do_without_the_tuner(
+    start_tuner: Callable[..., NodeProcess],
+    client: GoalClient,
+    node: Node,
+) -> None:
+    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), RESULT.NONE, ""))
+    start_tuner("on_client_lost:=best", "client_timeout:=7.5", "initial_evaluations:=6")
+    client.send(Tune.Goal(evaluations=6))
+    assert client.wait().error_code == 0
+    goals: list[Any] = machine.goals
+    assert {goal.client_timeout for goal in goals} == {7.5}
+    assert not any(goal.if_violated for goal in goals)
+    assert not goals[0].if_client_lost  # there is no front yet
+    setpoints = [{item.name: item.value for item in goal.setpoint} for goal in goals]
+    best = {item.name: item.value for item in goals[-1].if_client_lost}
+    assert best in setpoints[:-1]

@@ -1,0 +1,281 @@
+"""Working points: the front as a list, measured and predicted, and the way to one of its points."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rclpy.node import Node
+
+from mobo_msgs_py import msg
+from mobo_msgs_py.action import ApplySetpoint, GoToWorkingPoint, Tune
+from mobo_msgs_py.srv import ListWorkingPoints
+from mobo_tuner.ros.qos import LATCHED, STREAM
+from tests.support.processes import NodeProcess
+from tests.support.tuner import GoalClient, Listener, Services, journal, tune_client
+
+Goal = GoToWorkingPoint.Goal
+CODES = GoToWorkingPoint.Result
+
+
+# The injector with two objectives in which every point is good, so that there is a front at once.
+EASY = """
+/**:
+  ros__parameters:
+    variables:
+      K1:   {min: 400.0, max: 550.0, unit: A}
+      K2:   {min: 180.0, max: 280.0, unit: A}
+      phi1: {min: -10.0, max: 0.0, unit: deg}
+      phi2: {min: -10.0, max: 0.0, unit: deg}
+      G1:   {min: 60.0, max: 75.0, unit: MV/m}
+      G2:   {min: 15.0, max: 25.0, unit: MV/m}
+    objectives:
+      eps_x: {reference: 1.0e+6, unit: mm mrad}
+      dE:    {reference: 1.0e+3, unit: MeV}
+"""
+
+
+@pytest.fixture
+def mover(node: Node, spin_until: Callable[..., None]) -> GoalClient:
+    return GoalClient(node, spin_until, GoToWorkingPoint, "go_to_working_point")
+
+
+def values(named: Any) -> dict[str, float]:
+    return {item.name: item.value for item in named}
+
+
+def plain(point: Any) -> tuple[int, dict[str, float], dict[str, float]]:
+    """A point of a front; messages with NaN in them equal nothing."""
+    return point.index, values(point.setpoint), values(point.objectives)
+
+
+def weighted(point: Any, weights: dict[str, float]) -> float:
+    objectives = values(point.objectives)
+    return sum(weights[name] * objectives[name] for name in weights)
+
+
+def named(weights: dict[str, float]) -> list[msg.NamedValue]:
+    return [msg.NamedValue(name=name, value=value) for name, value in weights.items()]
+
+
+def listed(services: Services, predict: bool) -> ListWorkingPoints.Response:
+    request = ListWorkingPoints.Request(predict=predict)
+    return services.call(ListWorkingPoints, "list_working_points", request, 60.0)
+
+
+def position(node: Node, spin_until: Callable[..., None]) -> dict[str, float]:
+    client = GoalClient(node, spin_until, ApplySetpoint, "apply_setpoint")
+    client.send(ApplySetpoint.Goal())
+    return values(client.wait().readbacks)
+
+
+def on_its_way(mover: GoalClient, start: dict[str, float]) -> bool:
+    """Whether K1 has left where it was."""
+    readbacks = values(mover.feedback[-1].readbacks) if mover.feedback else {}
+    return abs(readbacks.get("K1", start["K1"]) - start["K1"]) > 1.0
+
+
+def test_the_front_is_listed_gone_to_and_held(
+    start_tuner: Callable[..., NodeProcess],
+    start_machine: Callable[..., NodeProcess],
+    client: GoalClient,
+    mover: GoalClient,
+    services: Services,
+    node: Node,
+    spin_until: Callable[..., None],
+    tmp_path: Path,
+) -> None:
+    start_machine()
+    tuner = start_tuner("initial_evaluations:=6")
+    nothing = "nothing was measured yet: there is no front, unless run_id names an earlier run"
+    assert listed(services, False).message == nothing
+    mover.send(Goal(choice=Goal.BY_INDEX, index=0))
+    refused = mover.wait()
+    assert (refused.error_code, refused.error_msg) == (CODES.INVALID_GOAL, nothing)
+
+    client.send(Tune.Goal(run_id="front", evaluations=20))
+    front = client.wait().pareto_front
+    points = listed(services, True)
+    assert points.success, points.message
+    assert list(map(plain, points.measured.points)) == list(map(plain, front.points))
+    assert points.measured.run_id == points.predicted.run_id == "front"
+    assert points.predicted.hypervolume > front.hypervolume
+    assert len(points.predicted.points) > 50
+    for point in points.predicted.points:
+        x, f = values(point.setpoint), values(point.objectives)
+        assert f["f1"] == pytest.approx(math.hypot(x["x1"] - 1, x["x2"] - 1), abs=0.2)
+        assert f["f2"] == pytest.approx(math.hypot(x["x1"] + 1, x["x2"] + 1), abs=0.2)
+        assert all(item.stddev > 0.0 for item in point.objectives)
+
+    weights = {"f1": 1.0, "f2": 2.5}
+    best = min(front.points, key=lambda point: weighted(point, weights))
+    mover.send(Goal(choice=Goal.BY_WEIGHTS, weights=named(weights)))
+    result = mover.wait()
+    assert (result.error_code, result.error_msg) == (CODES.NONE, "")
+    assert (plain(result.point), result.evaluations) == (plain(best), 0)
+    assert position(node, spin_until) == pytest.approx(values(best.setpoint), abs=1e-9)
+    assert values(result.readbacks) == pytest.approx(values(best.setpoint), abs=1e-9)
+
+    evaluations = Listener(node, msg.Evaluation, "evaluation", STREAM)
+    spin_until(lambda: node.get_publishers_info_by_topic("/evaluation"), "the tuner's topic")
+    chosen = front.points[0]
+    mover.send(Goal(choice=Goal.BY_INDEX, index=chosen.index, hold_evaluations=5, radius=0.05))
+    result = mover.wait()
+    assert (result.error_code, result.evaluations) == (CODES.NONE, 5)
+    assert plain(result.point) == plain(chosen)
+    assert [f.evaluations for f in mover.feedback if f.phase == "measuring"][-5:] == [1, 2, 3, 4, 5]
+    spin_until(lambda: len(evaluations.messages) == 5, "the evaluations")
+    told = evaluations.messages
+    assert [m.index for m in told] == [20, 21, 22, 23, 24]
+    assert told[0].source == msg.Evaluation.OPERATOR
+    assert values(told[0].setpoint) == values(chosen.setpoint)
+    for message in told:
+        for name, value in values(message.setpoint).items():
+            assert abs(value - values(chosen.setpoint)[name]) <= 0.05 * 4.0 + 1e-9
+    held = {name: 1.0 / (4.3 - value) for name, value in values(chosen.objectives).items()}
+    best = min(told, key=lambda point: weighted(point, held))
+    assert position(node, spin_until) == pytest.approx(values(best.setpoint), abs=1e-9)
+    records = journal(tmp_path, told[0].run_id)
+    assert [r["type"] for r in records] == ["start", *["evaluation"] * 5, "end"]
+    assert len(journal(tmp_path, "front")) == 22
+    # What was measured while holding is on the list, too.
+    indices = {point.index for point in listed(services, False).measured.points}
+    assert indices & {20, 21, 22, 23, 24}
+
+    # A tuner that knows nothing yet reads the run from its folder.
+    assert tuner.stop() == 0
+    start_tuner("initial_evaluations:=6")
+    request = ListWorkingPoints.Request(run_id="front")
+    read = services.call(ListWorkingPoints, "list_working_points", request, 60.0)
+    assert list(map(plain, read.measured.points)) == list(map(plain, front.points))
+    mover.send(Goal(run_id="front", choice=Goal.BY_WEIGHTS, weights=named({"f2": 1.0})))
+    least = min(front.points, key=lambda point: values(point.objectives)["f2"])
+    assert plain(mover.wait().point) == plain(least)
+    assert position(node, spin_until) == pytest.approx(values(least.setpoint), abs=1e-9)
+    assert len(journal(tmp_path, "front")) == 22
+
+
+def test_goals_that_cannot_be_served_and_a_cancel_on_the_way(
+    start_tuner: Callable[..., NodeProcess],
+    start_machine: Callable[..., NodeProcess],
+    client: GoalClient,
+    mover: GoalClient,
+    services: Services,
+    node: Node,
+    spin_until: Callable[..., None],
+    tmp_path: Path,
+) -> None:
+    config = tmp_path / "easy.yaml"
+    config.write_text(EASY)
+    machine = start_machine("speed:=20.0", "mode:=ideal", config="awa.yaml")
+    start_tuner("machine_timeout:=1.0", "discovery_timeout:=10.0", config=config)
+    statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
+    client.send(Tune.Goal(run_id="short", evaluations=50))
+    spin_until(
+        lambda: client.feedback and client.feedback[-1].evaluation.hypervolume > 0.0,
+        "a point of the front",
+        60.0,
+    )
+    assert listed(services, False).measured.points  # also while a run goes on
+    mover.send(Goal(choice=Goal.BY_INDEX))
+    assert "run 'short' is going on" in mover.wait().error_msg
+    client.cancel()
+    [*_, point] = client.wait().pareto_front.points
+
+    # Another folder's run, which is whole but none of this tuner's.
+    shutil.copytree(tmp_path / "runs" / "short", tmp_path / "elsewhere" / "linked")
+    (tmp_path / "runs" / "linked").symlink_to(tmp_path / "elsewhere" / "linked")
+    some = dict.fromkeys(values(point.objectives), 1.0)
+    for goal, sentence in (
+        (Goal(choice=Goal.BY_INDEX, index=999), "index is 999; the front has "),
+        (Goal(choice=7), "choice is 7; BY_INDEX and BY_WEIGHTS are allowed"),
+        (Goal(choice=Goal.BY_INDEX, index=point.index, radius=-1.0), "radius is -1"),
+        (Goal(choice=Goal.BY_INDEX, index=point.index, radius=math.nan), "radius is nan"),
+        (Goal(choice=Goal.BY_INDEX, hold_evaluations=10**9), "hold_evaluations is 1000000000"),
+        (Goal(choice=Goal.BY_WEIGHTS), "weights are "),
+        (Goal(choice=Goal.BY_WEIGHTS, weights=named({"f9": 1.0})), "weights name eps_x, dE, f9"),
+        (Goal(run_id="none", index=0), "none"),
+        (Goal(run_id="../x", index=0), "../x"),
+        (Goal(run_id="linked", index=0), "the run 'linked' is a link out of "),
+        (Goal(choice=Goal.BY_WEIGHTS, weights=named(some) * 2), "the list of weights names "),
+        (Goal(choice=Goal.BY_WEIGHTS, weights=named(some | {"dE": -1.0})), "weights are "),
+    ):
+        mover.send(goal)
+        result = mover.wait()
+        assert result.error_code == CODES.INVALID_GOAL
+        assert sentence in result.error_msg
+
+    # Away from the point and back again, in the middle of which it is stopped.
+    away = GoalClient(node, spin_until, ApplySetpoint, "apply_setpoint")
+    k1 = values(point.setpoint)["K1"]
+    far = values(point.setpoint) | {"K1": 400.0 if k1 > 475.0 else 550.0}
+    away.send(ApplySetpoint.Goal(setpoint=named(far)))
+    assert away.wait().error_code == ApplySetpoint.Result.NONE
+    mover.feedback.clear()
+    mover.send(Goal(choice=Goal.BY_INDEX, index=point.index))
+    spin_until(lambda: on_its_way(mover, far), "a move")
+    assert statuses.messages[-1].state == msg.TunerStatus.MOVING
+    busy = tune_client(node, spin_until)
+    busy.send(Tune.Goal(evaluations=5))
+    assert "the machine is going to a working point" in busy.wait().error_msg
+    mover.cancel()
+    started = time.monotonic()
+    result = mover.wait()
+    assert time.monotonic() - started < 2.0  # one, and one more for a busy computer
+    assert result.error_code == CODES.CANCELED
+    assert result.error_msg == "it was stopped: a client canceled it"
+    where = values(result.readbacks)["K1"]
+    assert min(k1, far["K1"]) < where < max(k1, far["K1"])
+
+    mover.send(Goal(choice=Goal.BY_INDEX, index=point.index, hold_evaluations=3))
+    spin_until(lambda: "-hold-" in statuses.messages[-1].run_id, "the holding", 60.0)
+    assert not mover.result.done()
+    mover.cancel()
+    assert mover.wait().error_code == CODES.CANCELED
+    spin_until(lambda: statuses.messages[-1].state == msg.TunerStatus.IDLE, "an idle tuner")
+
+    machine.kill()
+    mover.send(Goal(choice=Goal.BY_INDEX, index=point.index))
+    result = mover.wait()
+    assert result.error_code in (CODES.MACHINE_UNAVAILABLE, CODES.MACHINE_LOST)
+    client.send(Tune.Goal(evaluations=5))  # the tuner is free again
+    assert client.wait().error_code == Tune.Result.MACHINE_UNAVAILABLE
+
+
+def test_a_tuner_that_is_killed_on_the_way_leaves_the_machine_at_the_working_point(
+    start_tuner: Callable[..., NodeProcess],
+    start_machine: Callable[..., NodeProcess],
+    client: GoalClient,
+    mover: GoalClient,
+    node: Node,
+    spin_until: Callable[..., None],
+    tmp_path: Path,
+) -> None:
+    config = tmp_path / "easy.yaml"
+    config.write_text(EASY)
+    start_machine("speed:=20.0", "mode:=ideal", config="awa.yaml")
+    settings = ("client_timeout:=1.0", "on_client_lost:=hold", "initial_evaluations:=2")
+    tuner = start_tuner(*settings, config=config)
+    client.send(Tune.Goal(run_id="short", evaluations=2))
+    [*_, point] = client.wait(60.0).pareto_front.points
+    goal = values(point.setpoint)
+    far = goal | {"K1": 400.0 if goal["K1"] > 475.0 else 550.0}
+    away = GoalClient(node, spin_until, ApplySetpoint, "apply_setpoint")
+    away.send(ApplySetpoint.Goal(setpoint=named(far)))
+    assert away.wait().error_code == ApplySetpoint.Result.NONE
+    mover.send(Goal(choice=Goal.BY_INDEX, index=point.index))
+    spin_until(lambda: on_its_way(mover, far), "a move")
+    tuner.kill()
+    on_the_way = position(node, spin_until)
+    assert on_the_way != pytest.approx(goal, abs=0.1)
+    spin_until(lambda: position(node, spin_until) == pytest.approx(goal, abs=1e-6), "the arrival")
+
+    # The machine is free again, also for the tuner that comes after.
+    start_tuner(*settings, config=config)
+    mover.send(Goal(run_id="short", choice=Goal.BY_INDEX, index=point.index))
+    assert mover.wait().error_code == CODES.NONE
