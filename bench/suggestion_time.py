@@ -1,10 +1,9 @@
 """Time and memory of one suggestion in seven objectives, with as many evaluations told.
 
-The archive is a run of the optimiser itself on the AWA surrogate ("awa": kept in experiments/.cache with the times of its
-whole loop, made again when the surrogate changes), points near a known Pareto set ("smooth"), or points of a concave
-sphere ("sphere": the front of most boxes).
-Then a number of suggestions in a row is timed, each told what the machine answers; trainings that fall due are
-included.
+The archive is a run of the optimiser itself on the AWA surrogate ("awa": kept in experiments/.cache with the
+times of its whole loop, made again when the surrogate changes), points near a known Pareto set ("smooth"), or
+points of a concave sphere ("sphere": the front with the most boxes). Then a number of suggestions in a row is
+timed, trainings included; each is answered by the machine.
 
     python -m bench.suggestion_time --archive awa --acquisitions ehvi ucb_hvi
 """

@@ -5,8 +5,8 @@ hypervolume to reach counts everything that it evaluated, which favours it; that
 it. A front of more than 1000 points is measured by random points in its box, with the standard error. Random search
 with as many evaluations as the preset needed is reported with it.
 
-NSGA-II needs `experiments/requirements.txt`. All results stay in experiments/.cache, those of unfinished runs too: stopped, the
-benchmark goes on where it was.
+NSGA-II needs `experiments/requirements.txt`. All results, also of unfinished runs, are kept in
+experiments/.cache: a benchmark that was stopped continues where it was.
 """
 
 from __future__ import annotations

@@ -27,6 +27,7 @@ import yaml
 from awa_sim_node.check_config import check
 from launcher.run_folder import RunFolder, RunFolderError
 from mobo_tuner.bridge.mapping import load_mapping
+from mobo_tuner.errors import UserError
 from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import FILE_NAME, read_journal
 from mobo_tuner.runs.rebuild import records_of_bag, runs_of_bag

@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from awa_sim_node.check_config import check
+from mobo_tuner.errors import UserError
 from mobo_tuner.files import load_yaml
 
 CONFIG = Path(__file__).parents[2] / "config"
