@@ -1,18 +1,17 @@
-"""What every machine's node serves: it describes itself, evaluates set-points and goes to them.
+"""Server of every machine: it describes the machine, evaluates set-points and moves to them.
 
-Nothing moves before all of a goal is checked, and a goal that cannot be served is aborted with a
-reason. One thing is done at a time. What ends an evaluation early (a cancel, a critical limit, a
-lost client, a stopped node) makes the machine hold at once, and go, ramped, to where the goal says.
+Nothing moves before a goal has been checked completely, and a goal that cannot be served is aborted
+with a reason. The machine does one thing at a time. Whatever ends an evaluation early (a cancel, a
+critical limit, a lost client, a stopped node) makes the machine hold at once; after a violation or a
+lost client it then ramps to the set-point that the goal gives for that case.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.action.server import ServerGoalHandle
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor
 from rclpy.node import Node
@@ -29,32 +28,32 @@ from mobo_tuner.machine.backend import (
 )
 from mobo_tuner.machine.client_watch import ClientWatch, FinishedEvaluations
 from mobo_tuner.machine.goal_checks import check_evaluation, check_setpoint
+from mobo_tuner.ros.action_server import Goal, GoalServer
 from mobo_tuner.ros.conversions import values_of
 from mobo_tuner.ros.qos import STREAM
 from mobo_tuner.ros.waiting import until
 
 FEEDBACK_PERIOD = 0.2  # [s] of wall time
-RESULT_TIMEOUT = 10  # [s] for which a result can be asked for
-STOP_TIMEOUT = 1.0  # [s] for what goes on to end
+STOP_TIMEOUT = 1.0  # [s] for a running operation to end
 _Result = EvaluateSetpoint.Result
-_BUSY = Failure(_Result.BUSY, "another evaluation or move is going on; one at a time is allowed")
+_BUSY = Failure(_Result.BUSY, "another evaluation or move is running; one at a time is allowed")
 
 
 class MachineServer:
-    """Serves `evaluate_setpoint`, `apply_setpoint` and `describe_machine`, and hears `heartbeat`.
+    """Serves `evaluate_setpoint`, `apply_setpoint` and `describe_machine`; listens to `heartbeat`.
 
     Args:
-        node: whose names these are; not spun yet, or spun by `executor`.
-        backend: the machine.
-        executor: on which everything runs, the backend's coroutines included.
+        node: Node that owns these names; `executor` spins it, or will.
+        backend: Machine to serve.
+        executor: Executor that runs everything, the backend's coroutines included.
     """
 
     def __init__(self, node: Node, backend: MachineBackend, executor: Executor) -> None:
         self._node = node
         self._backend = backend
         self._executor = executor
-        self._operation: Operation | None = None  # what the machine does now
-        self._handle: ServerGoalHandle | None = None  # of the goal that it serves
+        self._operation: Operation | None = None  # what the machine is doing
+        self._goal: Goal | None = None  # that the operation serves
         self._stopped: Failure | None = None
         self._watch = ClientWatch()
         self._finished = FinishedEvaluations()
@@ -63,21 +62,10 @@ class MachineServer:
             msg.Heartbeat, "heartbeat", self._hear_heartbeat, STREAM
         )
         self._servers = [
-            ActionServer(
-                node,
-                action,
-                name,
-                execute_callback=execute,
-                goal_callback=lambda _: GoalResponse.ACCEPT,  # refused with a reason by `execute`
-                cancel_callback=self._cancel,
-                result_timeout=RESULT_TIMEOUT,
-            )
-            for action, name, execute in (
-                (EvaluateSetpoint, "evaluate_setpoint", self._evaluate),
-                (ApplySetpoint, "apply_setpoint", self._apply),
-            )
+            GoalServer(node, EvaluateSetpoint, "evaluate_setpoint", self._evaluate),
+            GoalServer(node, ApplySetpoint, "apply_setpoint", self._apply),
         ]
-        # Of a steady clock: neither silence nor a client's life is a matter of simulated time.
+        # On a steady clock, because clients live in wall time, not in simulated time.
         self._timer = node.create_timer(
             FEEDBACK_PERIOD, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
@@ -88,21 +76,21 @@ class MachineServer:
         return self._operation is not None
 
     def interrupt(self, failure: Failure) -> None:
-        """End what goes on, if anything does, for this reason; the machine holds where it is."""
+        """End the running operation, if there is one, for this reason; the machine holds where it is."""
         if self._operation is not None:
             self._operation.stop(failure)
 
     async def stop(self) -> None:
-        """End what goes on, so that its client hears of it, and refuse everything from now on."""
+        """End the running operation, so that its client gets a result, and refuse all further goals."""
         self._stop()
         await until(self._node, lambda: not self.busy, timeout=STOP_TIMEOUT)
 
     def close(self) -> None:
-        """Serve no more; the node stays."""
+        """Stop serving; the node stays."""
         self._stop()
         self._node.destroy_timer(self._timer)
         for server in self._servers:
-            server.destroy()
+            server.close()
         self._node.destroy_subscription(self._heartbeats)
         self._node.destroy_service(self._service)
 
@@ -119,108 +107,97 @@ class MachineServer:
         response.diagnostics = list(self._backend.diagnostics)
         return response
 
-    def _cancel(self, goal_handle: ServerGoalHandle) -> CancelResponse:
-        if self._handle is not None and self._handle.goal_id == goal_handle.goal_id:
-            self.interrupt(Failure(_Result.CANCELED, "a client stopped the machine"))
-        return CancelResponse.ACCEPT
-
-    async def _evaluate(self, goal_handle: ServerGoalHandle) -> EvaluateSetpoint.Result:
+    async def _evaluate(self, goal: Goal) -> EvaluateSetpoint.Result:
         """Serve one goal of `evaluate_setpoint`."""
         started = time.perf_counter()
-        goal = goal_handle.request
-        result = _Result(run_id=goal.run_id, index=goal.index, attempt=goal.attempt)
+        request = goal.request
+        result = _Result(run_id=request.run_id, index=request.index, attempt=request.attempt)
         try:
             setpoint = check_evaluation(
-                goal, self._backend.variables, self._backend.diagnostics, self._backend.max_shots
+                request, self._backend.variables, self._backend.diagnostics, self._backend.max_shots
             )
         except ValueError as error:
             failure: Failure | None = Failure(_Result.INVALID_SETPOINT, str(error))
         else:
-            failure = self._refusal() or self._old(goal)
+            failure = self._refusal() or self._outdated(request)
             if failure is None:
-                failure = await self._run_evaluation(goal_handle, setpoint, result)
+                failure = await self._run_evaluation(goal, setpoint, result)
         if result.stamp.sec == 0:  # nothing was measured
             result.stamp = self._now()
         result.machine_seconds = time.perf_counter() - started
-        self._conclude(goal_handle, result, failure, f"evaluation {goal.index}")
-        return result
+        return _with_outcome(result, failure)
 
     async def _run_evaluation(
-        self,
-        goal_handle: ServerGoalHandle,
-        setpoint: Mapping[str, float],
-        result: EvaluateSetpoint.Result,
+        self, goal: Goal, setpoint: Mapping[str, float], result: EvaluateSetpoint.Result
     ) -> Failure | None:
-        """Move, measure into `result`, and go to where the goal says if that ends badly."""
-        goal = goal_handle.request
-        fallback = values_of(goal.if_client_lost)
-        self._watch.begin(goal.run_id, goal.client_timeout, fallback, time.monotonic())
-        operation = self._begin(goal_handle, goal.critical)
+        """Move and measure into `result`; after a violation or a lost client, go to a fallback."""
+        request = goal.request
+        fallback = values_of(request.if_client_lost)
+        self._watch.begin(request.run_id, request.client_timeout, fallback, time.monotonic())
+        operation = self._begin(goal, request.critical)
         try:
             failure = await self._move(setpoint, operation)
             measured = Measurement()
             if failure is None:
-                measured = await self._measure(goal.shots, operation)
+                measured = await self._measure(request.shots, operation)
                 failure = operation.failure or measured.failure
             result.stamp = self._now()
             result.readbacks = list(measured.readbacks or self._backend.readbacks())
             result.diagnostics = list(measured.diagnostics)
             result.shots = measured.shots
             if failure is not None and failure.code == _Result.VIOLATION:
-                failure = await self._fall_back(failure, values_of(goal.if_violated))
+                failure = await self._fall_back(failure, values_of(request.if_violated))
             elif failure is not None and failure.code == _Result.CLIENT_LOST:
                 failure = await self._fall_back(failure, fallback)
         finally:
             self._end()
-        # Whoever canceled it, or resumes the run of a lost client, may ask for it again.
+        # A client that canceled, or resumes the run of a lost client, may ask for it again.
         if failure is None or failure.code not in (_Result.CANCELED, _Result.CLIENT_LOST):
-            self._finished.add(goal.run_id, goal.index, goal.attempt)
+            self._finished.add(request.run_id, request.index, request.attempt)
         return failure
 
-    async def _apply(self, goal_handle: ServerGoalHandle) -> ApplySetpoint.Result:
-        """Serve one goal of `apply_setpoint`; without a set-point it only says where the machine is."""
-        result = ApplySetpoint.Result()
-        failure = await self._run_move(goal_handle) if goal_handle.request.setpoint else None
-        result.readbacks = list(self._backend.readbacks())
-        result.stamp = self._now()
-        self._conclude(goal_handle, result, failure, "a move")
-        return result
+    async def _apply(self, goal: Goal) -> ApplySetpoint.Result:
+        """Serve one goal of `apply_setpoint`; without a set-point it only reads where the machine is."""
+        failure = await self._run_move(goal) if goal.request.setpoint else None
+        result = ApplySetpoint.Result(readbacks=list(self._backend.readbacks()), stamp=self._now())
+        return _with_outcome(result, failure)
 
-    async def _run_move(self, goal_handle: ServerGoalHandle) -> Failure | None:
+    async def _run_move(self, goal: Goal) -> Failure | None:
         """Move to a goal's set-point."""
         try:
-            setpoint = check_setpoint(goal_handle.request.setpoint, self._backend.variables)
+            setpoint = check_setpoint(goal.request.setpoint, self._backend.variables)
         except ValueError as error:
             return Failure(_Result.INVALID_SETPOINT, str(error))
         failure = self._refusal()
         if failure is not None:
             return failure
-        operation = self._begin(goal_handle)
+        operation = self._begin(goal)
         try:
             return await self._move(setpoint, operation)
         finally:
             self._end()
 
     def _refusal(self) -> Failure | None:
-        """Why the machine may not be moved now."""
+        """Return why the machine must not be moved now, or None."""
         return self._stopped or (_BUSY if self.busy else None) or self._backend.refusal()
 
-    def _old(self, goal: EvaluateSetpoint.Goal) -> Failure | None:
-        message = self._finished.refusal(goal.run_id, goal.index, goal.attempt)
+    def _outdated(self, request: EvaluateSetpoint.Goal) -> Failure | None:
+        message = self._finished.refusal(request.run_id, request.index, request.attempt)
         return Failure(_Result.UNKNOWN, message) if message else None
 
-    def _begin(self, goal_handle: ServerGoalHandle | None, critical: Any = ()) -> Operation:
-        """Take the machine; nobody else may have it."""
-        self._handle = goal_handle
-        self._operation = Operation(
+    def _begin(self, goal: Goal | None, critical: Sequence[msg.Constraint] = ()) -> Operation:
+        """Take the machine for an operation; `_end` releases it."""
+        self._goal = goal
+        self._operation = operation = Operation(
             self._executor, self._backend.hold, critical, on_phase=self._publish_feedback
         )
-        if goal_handle is not None and goal_handle.is_cancel_requested:  # before it began
-            self._cancel(goal_handle)
-        return self._operation
+        if goal is not None:
+            canceled = Failure(_Result.CANCELED, "a client stopped the machine")
+            goal.on_cancel(lambda: operation.stop(canceled))
+        return operation
 
     def _end(self) -> None:
-        self._operation = self._handle = None
+        self._operation = self._goal = None
 
     async def _move(self, setpoint: Mapping[str, float], operation: Operation) -> Failure | None:
         if operation.failure is not None:
@@ -228,7 +205,7 @@ class MachineServer:
         operation.progress(RAMPING, 0.0)
         try:
             failure = await self._backend.move(setpoint, operation)
-        except Exception as error:  # a fault of the backend must not leave the machine moving
+        except Exception as error:  # a faulty backend must not leave the machine moving
             return self._fault(error)
         if failure is not None:
             self._backend.hold()
@@ -245,7 +222,7 @@ class MachineServer:
         return Failure(_Result.UNKNOWN, f"the machine's node failed: {error!r}")
 
     async def _fall_back(self, failure: Failure, setpoint: Mapping[str, float]) -> Failure:
-        """Go to `setpoint` after `failure`; the machine holds where it is empty or out of reach."""
+        """Go to `setpoint` after `failure`; the machine holds if it is empty or cannot be reached."""
         if failure.code == _Result.CLIENT_LOST:
             self._finished.forget(self._watch.run_id)
             self._watch.end()
@@ -253,14 +230,14 @@ class MachineServer:
             return Failure(failure.code, f"{failure.message}; the machine holds where it is")
         refused = self._stopped or self._backend.refusal()
         if refused is None:
-            refused = await self._move(setpoint, self._begin(self._handle))
+            refused = await self._move(setpoint, self._begin(self._goal))
         outcome = "the machine went to the set-point given for that"
         if refused is not None:
             outcome = f"the machine could not go to the set-point given for that: {refused.message}"
         return Failure(failure.code, f"{failure.message}; {outcome}")
 
     def _tick(self) -> None:
-        """Say how the machine is getting on, and see whether its client still lives."""
+        """Publish feedback, and check whether the client that is watched is still alive."""
         self._publish_feedback()
         if not self._watch.lost(time.monotonic()):
             return
@@ -277,11 +254,12 @@ class MachineServer:
             self._operation.stop(failure)
 
     def _serves(self, run_id: str) -> bool:
-        """Whether an evaluation of this run goes on."""
-        return getattr(getattr(self._handle, "request", None), "run_id", None) == run_id
+        """Whether an evaluation of this run is running."""
+        request = None if self._goal is None else self._goal.request
+        return isinstance(request, EvaluateSetpoint.Goal) and request.run_id == run_id
 
     async def _abandoned(self, failure: Failure, fallback: Mapping[str, float]) -> None:
-        """The client was lost between its evaluations."""
+        """Go to the fallback of a client that was lost between two evaluations."""
         try:
             failure = await self._fall_back(failure, fallback)
         finally:
@@ -291,38 +269,24 @@ class MachineServer:
     def _hear_heartbeat(self, heartbeat: msg.Heartbeat) -> None:
         if heartbeat.run_id:
             self._watch.hear(heartbeat.run_id, time.monotonic())
-        elif not self._serves(self._watch.run_id):  # nobody ends a run amid its evaluation
+        elif not self._serves(self._watch.run_id):  # a run does not end during an evaluation
             self._watch.end()
 
     def _publish_feedback(self) -> None:
-        if self._operation is None or self._handle is None or not self._operation.phase:
+        if self._operation is None or self._goal is None or not self._operation.phase:
             return
-        feedback_type = (
-            ApplySetpoint.Feedback
-            if isinstance(self._handle.request, ApplySetpoint.Goal)
-            else EvaluateSetpoint.Feedback
+        self._goal.publish_feedback(
+            phase=self._operation.phase,
+            fraction=self._operation.fraction,
+            readbacks=list(self._backend.readbacks()),
         )
-        self._handle.publish_feedback(
-            feedback_type(
-                phase=self._operation.phase,
-                fraction=self._operation.fraction,
-                readbacks=list(self._backend.readbacks()),
-            )
-        )
-
-    def _conclude(
-        self, goal_handle: ServerGoalHandle, result: Any, failure: Failure | None, what: str
-    ) -> None:
-        """Write the outcome into the result and the goal's state."""
-        if failure is None:
-            goal_handle.succeed()
-            return
-        result.error_code, result.error_msg = failure.code, failure.message
-        if failure.code == _Result.CANCELED and goal_handle.is_cancel_requested:
-            goal_handle.canceled()
-            return
-        self._node.get_logger().warning(f"{what}: {failure.message}")
-        goal_handle.abort()
 
     def _now(self) -> Any:
         return self._node.get_clock().now().to_msg()
+
+
+def _with_outcome(result: Any, failure: Failure | None) -> Any:
+    """Return a result, with the failure's code and message written into it if there is one."""
+    if failure is not None:
+        result.error_code, result.error_msg = failure.code, failure.message
+    return result
