@@ -13,9 +13,9 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mobo_tuner.bridge.averaging import OutlierRule
 from mobo_tuner.bridge.mapping import load_mapping, parse_mapping
 from mobo_tuner.bridge.section import MappingError
+from mobo_tuner.machine.averaging import OutlierRule
 
 CONFIG = Path(__file__).parents[2] / "config"
 MAPPINGS = sorted(CONFIG.glob("bridge_*.yaml"))

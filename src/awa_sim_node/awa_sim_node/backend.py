@@ -25,6 +25,7 @@ from mobo_tuner.machine.backend import (
     RAMPING,
     SETTLING,
     Failure,
+    MachineBackend,
     Measurement,
     Operation,
 )
@@ -38,7 +39,7 @@ _Result = EvaluateSetpoint.Result
 _CODES = {Cause.INTERLOCK: _Result.INTERLOCK}
 
 
-class SimulatedBackend:
+class SimulatedBackend(MachineBackend):
     """Lets simulated time pass, `speed` times as fast as `now`, while a machine is connected.
 
     Args:
@@ -59,7 +60,7 @@ class SimulatedBackend:
         self._speed = speed
         self._now = now
         self._last = now()
-        self._inactive = "the machine's node is not configured"
+        self.inactive = "the machine's node is not configured"
         self.name = description.title
         self.max_shots = MAX_SHOTS
         self.variables = [
@@ -91,17 +92,17 @@ class SimulatedBackend:
 
     def activate(self) -> None:
         """Allow motion."""
-        self._inactive = ""
+        self.inactive = ""
 
     def deactivate(self, reason: str) -> None:
         """Stop what moves, and allow no motion, for this reason."""
-        self._inactive = reason
+        self.inactive = reason
         self.hold()
 
     @property
     def active(self) -> bool:
         """Whether motion is allowed."""
-        return not self._inactive
+        return not self.inactive
 
     def refusal(self) -> Failure | None:
         """Why nothing may be moved now by an action."""
@@ -113,8 +114,8 @@ class SimulatedBackend:
 
     def direct_refusal(self) -> Failure | None:
         """Why no single device may be moved now."""
-        if self._inactive or self.machine is None:
-            return Failure(_Result.NOT_ACTIVE, f"{self._inactive}; nothing may move")
+        if self.inactive or self.machine is None:
+            return Failure(_Result.NOT_ACTIVE, f"{self.inactive}; nothing may move")
         if self.machine.interlock:
             return Failure(_Result.INTERLOCK, self.machine.interlock)
         return None

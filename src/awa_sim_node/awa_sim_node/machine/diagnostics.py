@@ -1,9 +1,8 @@
-"""What the instruments show: shot noise, and the average over the shots of an evaluation."""
+"""What the instruments show: noisy shots, and the readings averaged from them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,9 +35,6 @@ class ShotNoise:
         return value + self.stddev(value) * float(rng.standard_normal())
 
 
-NOISELESS = ShotNoise()
-
-
 @dataclass(frozen=True)
 class Reading:
     """One measured value.
@@ -54,25 +50,3 @@ class Reading:
     value: float
     stddev: float
     unit: str
-
-
-def average(shots: Sequence[float]) -> tuple[float, float]:
-    """Average the shots of one quantity.
-
-    Args:
-        shots: One value a shot; NaN where a shot gave none.
-
-    Returns:
-        The mean over the valid shots and its standard uncertainty: the sample standard deviation of
-        a shot, divided by the square root of their number. The uncertainty is NaN with a single
-        valid shot, which shows no scatter; both are NaN without any.
-    """
-    valid = np.asarray([shot for shot in shots if not math.isnan(shot)], dtype=np.float64)
-    if valid.size == 0:
-        return math.nan, math.nan
-    # Counted from the first shot, so that equal shots average to exactly their value.
-    deviations = valid - valid[0]
-    mean = float(valid[0] + deviations.mean())
-    if valid.size == 1:
-        return mean, math.nan
-    return mean, float(deviations.std(ddof=1) / math.sqrt(valid.size))

@@ -9,7 +9,8 @@ from enum import StrEnum
 
 from awa_sim_node.machine.beam import Shot, ShotStatus
 from awa_sim_node.machine.description import MachineDescription
-from awa_sim_node.machine.diagnostics import Reading, average
+from awa_sim_node.machine.diagnostics import Reading
+from mobo_tuner.machine.averaging import average
 
 
 class Phase(StrEnum):

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mobo_tuner.bridge.averaging import OutlierRule
 from mobo_tuner.bridge.field_path import FieldPath, parse_field_path
 from mobo_tuner.bridge.section import MappingError, Section
 from mobo_tuner.files import load_yaml
+from mobo_tuner.machine.averaging import MAX_SHOTS, OutlierRule
+from mobo_tuner.machine.ramp import RampedVariable
 
 KINDS = {"topic": "msg", "service": "srv", "action": "action"}
 QOS = ("reliable", "best_effort", "latched")
-MAX_SHOTS = 10_000
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _ROS_NAME = re.compile(r"(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/(msg|srv|action)/[A-Z][A-Za-z0-9]*")
@@ -110,30 +110,16 @@ class Condition:
         return self.minimum <= self.endpoint.value(raw) <= self.maximum
 
 
-@dataclass(frozen=True)
-class Variable:
-    """How one variable is set and read.
+@dataclass(frozen=True, kw_only=True)
+class Variable(RampedVariable):
+    """Variable with the endpoints that set and read it.
 
     Attributes:
-        name: of the variable.
-        unit: of all that follows.
-        minimum: least set-point.
-        maximum: greatest set-point.
-        max_step: greatest change of the set-point in one step.
-        slew: greatest speed of the set-point [unit/s].
-        tolerance: greatest distance of the readback from the set-point when settled.
-        setpoint: where set-points go.
-        readback: where the readback comes from.
-        settled: what else must hold once the variable is settled; None = nothing.
+        setpoint: Endpoint that takes set-points.
+        readback: Endpoint that gives the readback.
+        settled: Condition that must hold as well once the variable is settled; None for none.
     """
 
-    name: str
-    unit: str
-    minimum: float
-    maximum: float
-    max_step: float
-    slew: float
-    tolerance: float
     setpoint: Endpoint
     readback: Endpoint
     settled: Condition | None

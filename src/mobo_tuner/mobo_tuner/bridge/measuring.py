@@ -14,11 +14,11 @@ from rclpy.task import Future
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint
-from mobo_tuner.bridge.averaging import average
 from mobo_tuner.bridge.calls import Call, CallError, check, create, load
 from mobo_tuner.bridge.interface_types import fill
 from mobo_tuner.bridge.mapping import Diagnostic, Endpoint, MachineMapping
 from mobo_tuner.bridge.signals import Signal, Signals, check_fields
+from mobo_tuner.machine.averaging import average
 from mobo_tuner.machine.backend import MEASURING, Failure, Measurement, Operation
 from mobo_tuner.ros.conversions import seconds
 

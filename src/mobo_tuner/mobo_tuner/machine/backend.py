@@ -1,21 +1,23 @@
-"""What a machine must be able to do so that `MachineServer` can serve it.
+"""Interface between `MachineServer` and a machine.
 
-A backend neither knows actions nor clients. Its coroutines run on the executor's thread: a simulated
-machine steps itself, a bridge waits for topics.
+A backend knows neither actions nor clients. Its coroutines run on the executor's thread: a simulated
+machine steps itself, a bridge waits for topics. `ramped.RampedBackend` is the backend of machines
+whose variables are ramped and read back, `simple.SimpleMachine` one made of a few plain functions.
 """
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from rclpy.executors import Executor
 from rclpy.task import Future
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint
+from mobo_tuner.machine.averaging import MAX_SHOTS
 
 RAMPING = "ramping"
 SETTLING = "settling"
@@ -24,11 +26,11 @@ MEASURING = "measuring"
 
 @dataclass(frozen=True)
 class Failure:
-    """Why something was refused or ended early.
+    """Reason why something was refused or ended early.
 
     Attributes:
-        code: one of the error codes of `EvaluateSetpoint.Result`, not NONE.
-        message: one sentence for the user.
+        code: Error code of `EvaluateSetpoint.Result`, not NONE.
+        message: One sentence for the user.
     """
 
     code: int
@@ -37,13 +39,13 @@ class Failure:
 
 @dataclass(frozen=True)
 class Measurement:
-    """What was measured, all or a part of it.
+    """Result of a measurement, complete or partial.
 
     Attributes:
-        readbacks: one for each variable, averaged while measuring.
-        diagnostics: those that were measured.
-        shots: how many they are means of.
-        failure: why the measurement is no good; None where it is, or where it was interrupted.
+        readbacks: One value for each variable, averaged during the measurement.
+        diagnostics: Diagnostics that were measured.
+        shots: Number of shots that they are means of.
+        failure: Reason why the measurement is invalid; None if it is valid or was interrupted.
     """
 
     readbacks: Sequence[msg.NamedValue] = ()
@@ -54,13 +56,17 @@ class Measurement:
 
 @dataclass
 class Operation:
-    """A move, with or without a measurement, while it goes on: how far it is, and whether it must end.
+    """A running move or measurement: how far it is, and whether it must end.
 
     Attributes:
-        interrupt: done when the operation must end. The machine was told to hold by then; whoever
-            works on the operation returns soon, with what there is.
-        phase: RAMPING, SETTLING or MEASURING.
-        fraction: of this phase, 0 to 1.
+        executor: Executor of the coroutines that wait for `interrupt`.
+        hold: Function that makes the machine hold where it is.
+        critical: Limits that no single shot may violate.
+        on_phase: Function that is called when a new phase begins.
+        phase: RAMPING, SETTLING or MEASURING; empty before the first phase.
+        fraction: Completed part of this phase, 0 to 1.
+        interrupt: Future that is done when the operation must end. The machine is holding by then;
+            the backend's coroutine returns soon, with what it has.
     """
 
     executor: Executor
@@ -76,20 +82,21 @@ class Operation:
 
     @property
     def failure(self) -> Failure | None:
-        """Why the operation must end; None while it may go on."""
+        """Reason why the operation must end; None while it may continue."""
         return self.interrupt.result() if self.interrupt.done() else None
 
     def progress(self, phase: str, fraction: float) -> None:
-        """Say how far the operation is; a new phase is told to the client at once."""
+        """Report how far the operation is; the client learns of a new phase at once."""
         changed = phase != self.phase
         self.phase, self.fraction = phase, min(1.0, max(0.0, fraction))
         if changed:
             self.on_phase()
 
     def shot(self, values: Mapping[str, float]) -> None:
-        """Show the diagnostics of one shot; one beyond a critical limit ends the operation.
+        """Check the diagnostics of one shot; a value beyond a critical limit ends the operation.
 
-        What is NaN was not measured, and violates nothing.
+        Args:
+            values: Diagnostics by name; NaN was not measured and violates nothing.
         """
         for limit in self.critical:
             value = values.get(limit.name, math.nan)
@@ -112,45 +119,56 @@ class Operation:
             self.interrupt.set_result(failure)
 
 
-class MachineBackend(Protocol):
-    """A machine: what it is, and how it moves and measures. It is asked for one thing at a time."""
+class MachineBackend(ABC):
+    """Machine: what it is, and how it moves and measures. It is asked for one thing at a time.
 
-    @property
-    def name(self) -> str:
-        """Of the machine, for people."""
+    Attributes:
+        name: Name of the machine, for people.
+        variables: Variables with their hard limits.
+        diagnostics: Diagnostics that the machine can measure.
+        max_shots: Largest number of shots that a measurement may average over.
+        inactive: Reason why the state of the machine's node forbids motion; empty if it does not.
+    """
 
-    @property
-    def variables(self) -> Sequence[msg.Variable]:
-        """What can be set, with hard limits."""
+    name: str
+    variables: Sequence[msg.Variable]
+    diagnostics: Sequence[msg.Observable]
+    max_shots: int = MAX_SHOTS
+    inactive: str = ""
 
-    @property
-    def diagnostics(self) -> Sequence[msg.Observable]:
-        """What can be measured."""
-
-    @property
-    def max_shots(self) -> int:
-        """The most shots that a measurement may average over."""
-
-    def refusal(self) -> Failure | None:
-        """Why nothing may move now (INTERLOCK, NOT_ACTIVE, MACHINE_LOST); None where all may."""
-
+    @abstractmethod
     def readbacks(self) -> Iterable[msg.NamedValue]:
-        """Where the machine is now; a variable whose readback is not known is NaN."""
+        """Return where the machine is now; NaN for a variable whose readback is unknown."""
 
+    @abstractmethod
     async def move(self, setpoint: Mapping[str, float], operation: Operation) -> Failure | None:
-        """Go to a set-point within the limits, ramped, and settle there.
-
-        Returns:
-            Why the machine did not arrive; None where it did, or where it was interrupted.
-        """
-
-    async def measure(self, shots: int, operation: Operation) -> Measurement:
-        """Measure where the machine is, showing every shot to `operation.shot`.
+        """Ramp to a set-point and settle there.
 
         Args:
-            shots: to average over; 0 = as many as the machine thinks fit.
-            operation: when it is interrupted, what was measured so far is returned.
+            setpoint: Values of all variables, within their limits.
+            operation: Operation that this is part of.
+
+        Returns:
+            Reason why the machine did not arrive; None if it did or was interrupted.
         """
 
+    @abstractmethod
+    async def measure(self, shots: int, operation: Operation) -> Measurement:
+        """Measure where the machine is, passing every shot to `operation.shot`.
+
+        Args:
+            shots: Number of shots to average; 0 = the machine's own number.
+            operation: Operation that this is part of; if it is interrupted, what was measured until
+                then is returned.
+        """
+
+    @abstractmethod
     def hold(self) -> None:
-        """Stop at once whatever moves, where it is; called also when nothing does."""
+        """Stop at once whatever moves, where it is; also called when nothing moves."""
+
+    def refusal(self) -> Failure | None:
+        """Return why nothing may move now (INTERLOCK, MACHINE_LOST), or None; optional."""
+        return None
+
+    def close(self) -> None:  # noqa: B027 - optional
+        """Release what the backend holds, before its node is destroyed; optional."""

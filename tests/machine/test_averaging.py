@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mobo_tuner.bridge.averaging import OutlierRule, average
+from mobo_tuner.machine.averaging import OutlierRule, average
 
 SHOTS = np.random.default_rng(5).normal(3.0, 0.5, 200).tolist()
 RULES = [OutlierRule("mad", 6.0), OutlierRule("sigma", 5.0)]
@@ -19,6 +19,18 @@ def test_the_mean_and_its_uncertainty() -> None:
     mean, stddev = average([*SHOTS, math.nan, math.inf])
     assert mean == pytest.approx(np.mean(SHOTS), rel=1e-12)
     assert stddev == pytest.approx(np.std(SHOTS, ddof=1) / math.sqrt(200), rel=1e-12)
+
+
+def test_the_uncertainty_is_that_of_the_mean() -> None:
+    count = 4000
+    rng = np.random.default_rng(5)
+    averages = [average(list(rng.normal(3.0, 0.4, 5))) for _ in range(count)]
+    means = np.array([mean for mean, _ in averages])
+    variances = np.array([stddev**2 for _, stddev in averages])
+    expected = 0.4**2 / 5
+    assert abs(means.var() / expected - 1.0) < 4.0 * math.sqrt(2 / count)
+    # The variance of a sample variance of 5 shots is 2 / 4 of its square.
+    assert abs(variances.mean() / expected - 1.0) < 4.0 * math.sqrt(0.5 / count)
 
 
 def test_few_shots_show_no_scatter() -> None:

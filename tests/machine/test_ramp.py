@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mobo_tuner.bridge.ramp import count_steps, interpolate
+from mobo_tuner.machine.ramp import count_steps, interpolate
 
 VALUES = st.floats(-1e3, 1e3)
 
