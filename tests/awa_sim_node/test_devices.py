@@ -76,17 +76,18 @@ def test_direct_moves_keep_to_the_limits_and_out_of_the_way_of_actions(
     process = start_machine(start_node, mode="ideal", speed=1.0)
     k1, g1 = setpoint("K1"), setpoint("G1")
     k1.publish(Float64(data=551.0))
-    limits = "set-point K1 = 551 is refused: set-point K1 = 551 A is outside the machine's limits"
+    limits = "set-point K1 = 551 is refused: set-point K1 = 551 A is outside "
     spin_until(lambda: limits in process.stderr, "the refusal")
     client = machine_client(node, spin_until)
     client.send(evaluation_goal(MIDDLE | {"K1": 550.0}))
     spin_until(lambda: len(client.feedback) > 1, "the evaluation to move")
     g1.publish(Float64(data=60.0))
-    busy = "set-point G1 = 60 is refused: an action moves the machine"
+    busy = "set-point G1 = 60 is refused: an action "
     spin_until(lambda: busy in process.stderr, "the refusal")
 
     answer = Services(node, spin_until).call(Trigger, "stop")
-    assert (answer.success, answer.message) == (True, "the machine holds where it is")
+    assert answer.success
+    assert "holds" in answer.message
     result = client.wait()
     assert result.error_code == RESULT.CANCELED
     assert {r.name: r.value for r in result.readbacks}["G1"] == 67.5
@@ -97,7 +98,7 @@ def test_direct_moves_keep_to_the_limits_and_out_of_the_way_of_actions(
     client.send(evaluation_goal(MIDDLE, index=1))
     result = client.wait()
     assert result.error_code == RESULT.BUSY
-    assert result.error_msg == "a device is being moved by its set-point topic"
+    assert "set-point" in result.error_msg
     assert Services(node, spin_until).call(Trigger, "stop").success
     client.send(evaluation_goal(MIDDLE, index=1))
     spin_until(lambda: client.feedback, "the evaluation to begin")
@@ -123,13 +124,13 @@ def test_the_interlock_refuses_everything_until_it_is_cleared(
 
     lost = evaluate(LOSSY, 0, 2)
     assert lost.error_code == RESULT.INVALID_MEASUREMENT
-    assert lost.error_msg.startswith("beam was lost in 2 of 2 shots, down to a transmission of 0.")
+    assert "lost in 2 of 2 shots" in lost.error_msg
     measured = {d.name: d.value for d in lost.diagnostics}
     assert set(measured) == {"transmission", "charge"}
     assert measured["transmission"] < 0.9
     raised = evaluate(LOSSY, 1, 100)
     assert raised.error_code == RESULT.INTERLOCK
-    assert raised.error_msg.startswith("the interlock is raised: 8 shots in a row lost beam")
+    assert raised.error_msg.startswith("the interlock is raised: 8 ")
     assert 0 < raised.shots < 100
     assert evaluate(MIDDLE, 2, 1).error_code == RESULT.INTERLOCK
     spin_until(lambda: interlock.data and interlock.data[-1], "the interlock")
@@ -142,26 +143,27 @@ def test_the_interlock_refuses_everything_until_it_is_cleared(
 
     spin_until(lambda: machine_level() == DiagnosticStatus.ERROR, "the alarm")
     answer = services.call(Trigger, "clear_interlock")
-    assert (answer.success, answer.message) == (True, "the interlock is cleared")
+    assert answer.success
+    assert "cleared" in answer.message
     assert evaluate(MIDDLE, 3, 1).error_code == RESULT.NONE
     spin_until(lambda: interlock.data[-1] is False, "the interlock to be gone")
     spin_until(lambda: machine_level() == DiagnosticStatus.OK, "the end of the alarm")
     values = {v.key: v.value for s in health.messages[-1].status for v in s.values}
     assert (values["measurements"], values["failed measurements"]) == ("3", "2")
-    assert services.call(Trigger, "clear_interlock").message == "the interlock was not raised"
+    assert "not raised" in services.call(Trigger, "clear_interlock").message
 
 
 @pytest.mark.parametrize(
-    ("parameters", "sentence"),
+    ("parameters", "parts"),
     [
         (
             {"trip_rate": 3600.0, "trip_recovery_max": 1e5, "trip_recovery_min": 1e5},
-            "the gun tripped, and there is no beam",
+            ("tripped",),
         ),
-        ({"beam_dropout": 1.0}, "none of 40 shots gave a valid sigma_x"),
+        ({"beam_dropout": 1.0}, ("sigma_x", "40 shots")),
         (
             {"jitter_charge": 0.5, "beam_charge_window": 0.01, "beam_retakes": 0.0},
-            "the charge of 1 shots was off its target of 40 nC by more than 1 %",
+            ("charge", "1 shots", "40 nC", "1 %"),
         ),
     ],
 )
@@ -170,13 +172,15 @@ def test_a_bad_moment_ends_an_evaluation_with_an_error(
     node: Node,
     spin_until: Callable[..., None],
     parameters: dict[str, float],
-    sentence: str,
+    parts: tuple[str, ...],
 ) -> None:
     start_machine(start_node, mode="ideal", speed=1000.0, trip_patience=0.0, **parameters)
     client = machine_client(node, spin_until)
     client.send(evaluation_goal(MIDDLE | {"G1": 68.0}, shots=40))
     result = client.wait()
-    assert (result.error_code, result.error_msg) == (RESULT.INVALID_MEASUREMENT, sentence)
+    assert result.error_code == RESULT.INVALID_MEASUREMENT
+    for part in parts:
+        assert part in result.error_msg
     assert {r.name: r.value for r in result.readbacks}["G1"] == 68.0
 
 

@@ -1,4 +1,4 @@
-"""The simulated machine as `MachineServer` drives it: passing time becomes simulated time."""
+"""The simulated machine as a backend of `MachineServer`: maps the passing time to simulated time."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ from mobo_tuner.ros.waiting import first_of
 
 STEP_PERIOD = 0.1  # [s] of wall time, at most
 SHORTEST_PAUSE = 0.001  # [s] of wall time
-STEP_BUDGET = 0.05  # [s] of wall time that simulating may take at once; what is over is left out
+STEP_BUDGET = 0.05  # [s] of wall time for one call of `advance`; time beyond it is dropped
 _Result = EvaluateSetpoint.Result
 _CODES = {Cause.INTERLOCK: _Result.INTERLOCK}
 
 
 class SimulatedBackend(MachineBackend):
-    """Lets simulated time pass, `speed` times as fast as `now`, while a machine is connected.
+    """A backend that runs a simulated machine `speed` times as fast as the clock `now`.
 
     Args:
-        node: on whose executor the coroutines run.
-        description: of the machine, whether connected or not.
-        speed: simulated seconds per second.
-        now: the time that passes [s].
+        node: Node whose executor runs the coroutines.
+        description: Description of the machine, valid whether or not it is connected.
+        speed: Simulated seconds per second of `now`.
+        now: Callable that returns the current time [s].
     """
 
     def __init__(
@@ -72,21 +72,21 @@ class SimulatedBackend(MachineBackend):
         ]
         self._units = {v.name: v.unit for v in description.variables}
         self.machine: SimulatedMachine | None = None
-        """None while it is not connected."""
+        """The connected machine, or None."""
         self.simulated_time = 0.0
-        """That has passed since the node was started, whichever machine was connected [s]."""
+        """Simulated time since the node was started, summed over all connected machines [s]."""
         self.on_shot: Callable[[Shot], None] = lambda _: None
         self.on_step: Callable[[], None] = lambda: None
         self.on_measured: Callable[[EvaluationResult], None] = lambda _: None
 
     def connect(self, machine: SimulatedMachine) -> None:
-        """Take a machine; nothing may move yet."""
+        """Connect a machine. Motion stays disabled until `activate`."""
         self.machine = machine
         self._last = self._now()
         self.deactivate("the machine's node is not active")
 
     def disconnect(self) -> None:
-        """Let the machine go."""
+        """Disconnect the machine."""
         self.deactivate("the machine's node is not configured")
         self.machine = None
 
@@ -95,7 +95,11 @@ class SimulatedBackend(MachineBackend):
         self.inactive = ""
 
     def deactivate(self, reason: str) -> None:
-        """Stop what moves, and allow no motion, for this reason."""
+        """Stop all motion and refuse further motion.
+
+        Args:
+            reason: Reason that later refusals give.
+        """
         self.inactive = reason
         self.hold()
 
@@ -105,15 +109,15 @@ class SimulatedBackend(MachineBackend):
         return not self.inactive
 
     def refusal(self) -> Failure | None:
-        """Why nothing may be moved now by an action."""
+        """Return why an action may not move the machine now, or None."""
         self.advance()  # a device may have arrived in the meantime
         refusal = self.direct_refusal()
         if refusal is None and self.machine is not None and self.machine.busy:
-            return Failure(_Result.BUSY, "a device is being moved by its set-point topic")
+            return Failure(_Result.BUSY, "a device is moving to a set-point from its topic")
         return refusal
 
     def direct_refusal(self) -> Failure | None:
-        """Why no single device may be moved now."""
+        """Return why a single device may not be moved now, or None."""
         if self.inactive or self.machine is None:
             return Failure(_Result.NOT_ACTIVE, f"{self.inactive}; nothing may move")
         if self.machine.interlock:
@@ -121,7 +125,7 @@ class SimulatedBackend(MachineBackend):
         return None
 
     def readbacks(self) -> Sequence[msg.NamedValue]:
-        """Where the machine is now."""
+        """Return the current readbacks; NaN while no machine is connected."""
         values = (
             dict.fromkeys(self._units, math.nan)
             if self.machine is None
@@ -130,12 +134,12 @@ class SimulatedBackend(MachineBackend):
         return named_values(values, self._units)
 
     def hold(self) -> None:
-        """Stop where the machine is; a running measurement ends."""
+        """Stop the machine where it is and end a running measurement."""
         if self.machine is not None:
             self.machine.stop()
 
     def advance(self) -> None:
-        """Let the time that has passed since the last call pass in the machine too."""
+        """Advance the simulated machine by the time that has passed since the last call."""
         now = self._now()
         due, self._last = max(0.0, now - self._last) * self._speed, now
         deadline = time.perf_counter() + STEP_BUDGET
@@ -150,7 +154,7 @@ class SimulatedBackend(MachineBackend):
         """Ramp to a set-point and settle there."""
         machine = self.machine
         assert machine is not None
-        self.advance()  # what has passed until now is not part of the move
+        self.advance()  # the time until now is not part of the move
         machine.move(setpoint)
         ramp, settle = machine.time_to_ramped, machine.time_to_settled
 
@@ -166,7 +170,15 @@ class SimulatedBackend(MachineBackend):
         return Failure(_Result.INTERLOCK, machine.interlock) if machine.interlock else None
 
     async def measure(self, shots: int, operation: Operation) -> Measurement:
-        """Average over some shots."""
+        """Measure at the current position.
+
+        Args:
+            shots: Number of shots to average; 0 for the machine's default.
+            operation: Operation that receives progress and shots and can interrupt.
+
+        Returns:
+            The measurement; its `failure` is set if the shots do not form a valid one.
+        """
         machine = self.machine
         assert machine is not None
 
@@ -198,7 +210,12 @@ class SimulatedBackend(MachineBackend):
         )
 
     async def _drive(self, report: Callable[[], float], operation: Operation) -> None:
-        """Let time pass until `report`, the simulated time that is left, is 0, or interrupted."""
+        """Advance until done or interrupted.
+
+        Args:
+            report: Callable that reports progress and returns the simulated time left [s]; 0 ends.
+            operation: Operation that can interrupt.
+        """
         while (remaining := report()) > 0.0 and not operation.interrupt.done():
             pause = min(max(remaining / self._speed, SHORTEST_PAUSE), STEP_PERIOD)
             if await first_of(self._node, operation.interrupt, timeout=pause) is not None:

@@ -1,4 +1,4 @@
-"""The beam as plain topics: one `beam/<name>` per diagnostic, one message per shot."""
+"""Beam measurements as plain topics: one `beam/<name>` per diagnostic, one message per shot."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from mobo_tuner.ros.qos import LATCHED, STREAM
 
 
 class BeamTopics:
-    """Publishes shots, and for tests what was true of them.
+    """Publishers of the measured shots and, for tests, of their true values.
 
     Args:
-        node: whose topics these are.
-        description: of the machine.
-        with_truth: whether the topic `truth` is there.
+        node: Node that owns the topics.
+        description: Description of the machine.
+        with_truth: Whether to publish the topic `truth`.
     """
 
     def __init__(self, node: Node, description: MachineDescription, with_truth: bool) -> None:
@@ -36,14 +36,18 @@ class BeamTopics:
         self._uncertainty = node.create_publisher(msg.NamedValues, "model_uncertainty", LATCHED)
 
     def publish(self, shot: Shot) -> None:
-        """Publish one shot; NaN is what was not measured."""
+        """Publish one shot; values that were not measured are NaN."""
         for name, value in shot.measured.items():
             self._shots[name].publish(Float64(data=value))
         if self._truth is not None:
             self._truth.publish(self._message({**shot.inputs, **shot.truth}))
 
     def publish_uncertainty(self, spread: Mapping[str, float]) -> None:
-        """Publish how uncertain the model of the machine is where it is, if it knows."""
+        """Publish the uncertainty of the machine's model at the current inputs.
+
+        Args:
+            spread: Standard deviation of each diagnostic; nothing is published if it is empty.
+        """
         if spread:
             self._uncertainty.publish(self._message(spread))
 

@@ -1,7 +1,7 @@
-"""The machine's devices as plain topics and services, as any control system might offer them.
+"""The machine's devices as plain topics and services, as a typical control system offers them.
 
-`<device>/setpoint` (in), `<device>/readback` and `<device>/settled` (out) are `std_msgs`; whoever
-knows nothing of our actions can drive the machine with them.
+`<device>/setpoint` (in), `<device>/readback` and `<device>/settled` (out) are `std_msgs`: a client
+can drive the machine without the project's own actions.
 """
 
 from __future__ import annotations
@@ -20,14 +20,19 @@ from mobo_tuner.machine.backend import Failure
 from mobo_tuner.machine.server import MachineServer
 from mobo_tuner.ros.qos import LATCHED, STREAM
 
-WARNING_PERIOD = 1.0  # [s] between two warnings of a device for one kind of reason
+WARNING_PERIOD = 1.0  # [s] between two warnings with the same error code for one device
 
 
 class Devices:
-    """Serves one set of topics for each device, and the services `stop` and `clear_interlock`.
+    """The topics of each device, and the services `stop` and `clear_interlock`.
 
     Direct moves obey the limits, the interlock and the node's state, and are refused while an
     action moves the machine.
+
+    Args:
+        node: Node that owns the topics and services.
+        backend: Backend of the simulated machine.
+        server: Server of the machine's actions, which may be moving the machine.
     """
 
     def __init__(self, node: Node, backend: SimulatedBackend, server: MachineServer) -> None:
@@ -51,7 +56,7 @@ class Devices:
         self._shown_interlock: bool | None = None
 
     def publish(self) -> None:
-        """Publish where every device is, and whether it is settled."""
+        """Publish the readback of every device, and whether it is settled."""
         machine = self._backend.machine
         if machine is None:
             return
@@ -61,7 +66,7 @@ class Devices:
         self.publish_changes()
 
     def publish_changes(self) -> None:
-        """Publish what has settled or begun to move, and a change of the interlock, at once."""
+        """Publish changes of `settled` and of the interlock since the last call."""
         machine = self._backend.machine
         if machine is None:
             return
@@ -85,7 +90,7 @@ class Devices:
             refusal = Failure(EvaluateSetpoint.Result.BUSY, "an action moves the machine")
         if refusal is None and machine is not None:
             try:
-                self._backend.advance()  # what has passed until now is not part of the move
+                self._backend.advance()  # the time until now is not part of the move
                 machine.set(name, message.data)
             except (ValueError, RuntimeError) as error:
                 refusal = Failure(EvaluateSetpoint.Result.INVALID_SETPOINT, str(error))
@@ -94,7 +99,7 @@ class Devices:
         self.publish_changes()
 
     def _warn(self, name: str, value: float, refusal: Failure) -> None:
-        """Say why a set-point is refused; whoever keeps sending them hears it once a second."""
+        """Log why a set-point is refused, at most once per `WARNING_PERIOD`."""
         code, when = self._warned.get(name, (0, 0.0))
         if code == refusal.code and time.monotonic() - when < WARNING_PERIOD:
             return
@@ -105,10 +110,10 @@ class Devices:
 
     def _stop(self) -> tuple[bool, str]:
         self._server.interrupt(
-            Failure(EvaluateSetpoint.Result.CANCELED, "the machine was told to stop")
+            Failure(EvaluateSetpoint.Result.CANCELED, "stopped by the service 'stop'")
         )
         self._backend.hold()
-        return True, "the machine holds where it is"
+        return True, "the machine holds its position"
 
     def _clear(self) -> tuple[bool, str]:
         if self._backend.machine is None:
@@ -120,7 +125,7 @@ class Devices:
     def _served(
         self, act: Callable[[], tuple[bool, str]]
     ) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-        """Make a service's callback of `act`, which returns whether it worked and one sentence."""
+        """Return a service callback that runs `act` and answers with its success and message."""
 
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             response.success, response.message = act()

@@ -1,4 +1,4 @@
-"""How the machine is, once a second on `/diagnostics`, as tools for ROS robots expect it."""
+"""The machine's health on `/diagnostics` at 1 Hz, in the form that standard ROS tools expect."""
 
 from __future__ import annotations
 
@@ -12,7 +12,12 @@ from mobo_tuner.ros.qos import STREAM
 
 
 class Health:
-    """Publishes one status each of the machine, the beam and the actuators."""
+    """Publisher of one status each for the machine, the beam and the actuators.
+
+    Args:
+        node: Node that owns the topic.
+        backend: Backend of the simulated machine.
+    """
 
     def __init__(self, node: Node, backend: SimulatedBackend) -> None:
         self._node = node
@@ -22,7 +27,7 @@ class Health:
         self.failures = 0
 
     def publish(self) -> None:
-        """Publish how all is now."""
+        """Publish the current status of each part."""
         message = DiagnosticArray(status=[self._machine(), self._beam(), self._actuators()])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)

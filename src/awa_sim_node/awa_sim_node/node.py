@@ -1,4 +1,4 @@
-"""The simulated machine as a lifecycle node: configured it is there, activated it may move."""
+"""The lifecycle node of the simulated machine: configured, it is on; activated, it may move."""
 
 from __future__ import annotations
 
@@ -36,21 +36,26 @@ _SUCCESS = TransitionCallbackReturn.SUCCESS
 
 
 class AwaSim(LifecycleNode):
-    """Serves one simulated machine.
+    """The node of one simulated machine.
 
-    `configure` switches the machine on, `activate` allows motion, `deactivate` stops what moves,
-    `cleanup` switches it off. Every interface is there from the start and refuses what the state
-    does not allow.
+    `configure` switches the machine on, `activate` allows motion, `deactivate` stops all motion,
+    `cleanup` switches it off. Every interface exists from the start and refuses requests that the
+    current state does not allow.
     """
 
     exit_code = None
 
     def __init__(self, executor: Executor) -> None:
-        """Declare the parameters; with `autostart` the machine is on and may move, but does not.
+        """Declare the parameters; with `autostart`, also configure and activate.
+
+        Nothing moves.
+
+        Args:
+            executor: Executor that spins the node.
 
         Raises:
-            ValueError: a parameter is not allowed.
-            StartError: the machine could not be switched on.
+            ValueError: If a parameter is not allowed.
+            StartError: If the machine could not be switched on.
         """
         super().__init__("awa_sim")
         refuse_unknown_transitions(self)
@@ -87,7 +92,7 @@ class AwaSim(LifecycleNode):
                 self.trigger_activate()
             if not self._backend.active:
                 self.destroy_node()
-                raise StartError("the machine could not be switched on; see above")
+                raise StartError("the machine could not be switched on; the log above says why")
 
     @property
     def node(self) -> Node:
@@ -101,14 +106,13 @@ class AwaSim(LifecycleNode):
             machine = SimulatedMachine(
                 str(values["model"]), str(values["mode"]), int(values["seed"]), self._behaviour
             )
-        except Exception as error:  # rclpy would say nothing of it
-            self.get_logger().error(f"the machine cannot be switched on: {error!r}")
+        except Exception as error:  # rclpy would not log it
+            self.get_logger().error(f"the machine could not be switched on: {error!r}")
             return TransitionCallbackReturn.FAILURE
         self._backend.connect(machine)
         self._last_free_shot = 0.0
         self.get_logger().info(
-            f"{self._backend.name}: configured, {machine.mode}, "
-            f"{self._speed:g} times as fast as real"
+            f"{self._backend.name}: configured, {machine.mode}, {self._speed:g} times real time"
         )
         return _SUCCESS
 
@@ -119,7 +123,7 @@ class AwaSim(LifecycleNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop what moves."""
+        """Stop all motion."""
         self._halt("the machine's node was deactivated")
         return super().on_deactivate(state)
 
@@ -129,19 +133,19 @@ class AwaSim(LifecycleNode):
         return _SUCCESS
 
     def on_shutdown(self, _: LifecycleState) -> TransitionCallbackReturn:
-        """Stop what moves, for good."""
+        """Stop all motion and switch the machine off."""
         self._halt("the machine's node was shut down")
         self._backend.disconnect()
         return _SUCCESS
 
     def on_error(self, _: LifecycleState) -> TransitionCallbackReturn:
-        """Switch the machine off after a transition that failed."""
+        """Switch the machine off after a failed transition."""
         self._halt("the machine's node failed")
         self._backend.disconnect()
         return _SUCCESS
 
     async def stop(self) -> None:
-        """Stop whatever moves, where it is."""
+        """Stop all motion; the machine holds its position."""
         await self._server.stop()
 
     def close(self) -> None:
@@ -154,13 +158,13 @@ class AwaSim(LifecycleNode):
         self.get_logger().info(reason)
 
     def _refuse_unknown_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Refuse what rclpy takes though nobody declared it: a parameter without a name."""
+        """Refuse parameters that were not declared; rclpy itself accepts one with an empty name."""
         unknown = [p.name for p in parameters if not self.has_parameter(p.name)]
         reason = f"the parameter '{unknown[0]}' is unknown" if unknown else ""
         return SetParametersResult(successful=not unknown, reason=reason)
 
     def _passing_time(self) -> Callable[[], float]:
-        """What drives the machine: wall time, or the clock of others where that is simulated."""
+        """Return the clock [s] that drives the machine: wall time, or `/clock` if it is external."""
         simulated = self.get_parameter("use_sim_time").value
         if simulated and not self._values["publish_clock"]:
             clock = self.get_clock()
@@ -168,11 +172,11 @@ class AwaSim(LifecycleNode):
         return time.monotonic
 
     def _every(self, period: float, callback: Callable[[], Any]) -> None:
-        # Of a steady clock: a stream is for people and other nodes, who live in wall time.
+        # Streams run in wall time, whatever the speed of the simulation.
         self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _stream(self) -> None:
-        """Let time pass, show the devices, and take a shot where none was asked for."""
+        """Advance time, publish the devices, and take a free-running shot between evaluations."""
         self._backend.advance()
         self._devices.publish()
         machine = self._backend.machine

@@ -8,14 +8,14 @@ AWA_SIM = (
     ParameterSpec(
         "model",
         "awa",
-        "which machine is simulated: the AWA injector, or the paper's toy problem",
+        "machine to simulate: the AWA injector, or the paper's toy problem",
         choices=tuple(MODEL_NAMES),
     ),
     ParameterSpec(
         "mode",
         "nominal",
-        "how well it behaves: without chance and faults, as on a good day, or as on a bad one; "
-        "the default of every parameter of its behaviour, which docs/behaviour.md lists",
+        "defaults of the behaviour parameters (docs/behaviour.md): no randomness and no faults, a "
+        "good day, or a bad day",
         choices=tuple(str(mode) for mode in Mode),
     ),
     ParameterSpec(
@@ -25,12 +25,12 @@ AWA_SIM = (
         minimum=1e-3,
         maximum=1e6,
     ),
-    ParameterSpec("seed", 0, "of all chance", minimum=0, maximum=2**31 - 1),
-    ParameterSpec("autostart", True, "configure and activate at the start, without being told to"),
+    ParameterSpec("seed", 0, "seed of the random number generators", minimum=0, maximum=2**31 - 1),
+    ParameterSpec("autostart", True, "configure and activate the node at its start"),
     ParameterSpec(
         "stream_rate",
         5.0,
-        "how often readbacks are published, and at most shots between evaluations [Hz]",
+        "rate of the published readbacks, and highest rate of shots between evaluations [Hz]",
         minimum=0.1,
         maximum=1000.0,
     ),
@@ -39,14 +39,18 @@ AWA_SIM = (
     ),
     ParameterSpec("publish_truth", False, "publish the true values on `truth`, for tests"),
 )
-"""Of the node `awa_sim`, besides those of the machine's behaviour."""
+"""Parameters of the node `awa_sim`, without those of the machine's behaviour."""
 
 
 def behaviour_specs(model: str, mode: str) -> tuple[ParameterSpec, ...]:
-    """The parameters of a machine's behaviour, with the mode's values as defaults.
+    """Return the parameters of a machine's behaviour, with the mode's values as defaults.
+
+    Args:
+        model: Name of the machine's model.
+        mode: Name of the mode.
 
     Raises:
-        ValueError: there is no such model or mode.
+        ValueError: If there is no such model or mode.
     """
     behaviour = behaviour_of(model, Mode(mode))
     return tuple(

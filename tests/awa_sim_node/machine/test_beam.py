@@ -77,9 +77,8 @@ def test_retaking_has_an_end() -> None:
     assert result.failure is not None
     assert result.failure.cause is Cause.CHARGE
     assert result.retaken == 21
-    assert result.failure.message == (
-        "the charge of 21 shots was off its target of 40 nC by more than 0.1 %"
-    )
+    for part in ("21 shots", "40 nC", "0.1 %"):
+        assert part in result.failure.message
 
 
 def test_noise_scales_with_its_parameter() -> None:

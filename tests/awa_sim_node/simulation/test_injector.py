@@ -216,24 +216,18 @@ def test_a_finer_mesh_and_more_particles_change_little(middle: list[Moments]) ->
 
 
 @pytest.mark.parametrize(
-    ("setting", "value", "message"),
-    [
-        ("K1", math.nan, "K1 is nan, and must be a finite number"),
-        ("phi2", math.inf, "phi2 is inf, and must be a finite number"),
-        ("charge", -1.0, "charge is -1, and must be 0 or more"),
-        ("G2", -20.0, "G2 is -20, and must be 0 or more"),
-        ("G1", 0.0, "G1 is 0, and must be more than 0"),
-    ],
+    ("setting", "value"),
+    [("K1", math.nan), ("phi2", math.inf), ("charge", -1.0), ("G2", -20.0), ("G1", 0.0)],
 )
-def test_settings_that_make_no_sense(setting: str, value: float, message: str) -> None:
-    with pytest.raises(ValueError, match=f"^{message}$"):
+def test_settings_that_make_no_sense(setting: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"^{setting} = {value:g} must be "):
         Settings(**{**MIDDLE, setting: value})
 
 
 def test_resolutions_too_coarse() -> None:
-    with pytest.raises(ValueError, match=r"mesh is \(4, 16, 32\), and must be 5 or more each way"):
+    with pytest.raises(ValueError, match=r"^mesh = \(4, 16, 32\) .* 5 "):
         Resolution(mesh=(4, 16, 32))
-    with pytest.raises(ValueError, match="particles is 20, and must be more than 20"):
+    with pytest.raises(ValueError, match=r"^particles = 20 .* 20$"):
         Resolution(particles=20)
 
 
@@ -241,10 +235,10 @@ def test_resolutions_too_coarse() -> None:
     "planes", [(3.1, 1.95), (0.5, 0.5), (0.0,), (-1.0, 3.1), (math.nan,), (0.5, math.inf)]
 )
 def test_planes_that_cannot_be_passed(planes: tuple[float, ...]) -> None:
-    with pytest.raises(ValueError, match="m, and must be finite and rise from the cathode at 0 m"):
+    with pytest.raises(ValueError, match=r"^planes = .* m must be finite"):
         coarse(*planes)
 
 
 def test_a_plane_in_the_laser() -> None:
-    with pytest.raises(ValueError, match=r"the plane at 0\.0001 m is too near the cathode"):
+    with pytest.raises(ValueError, match=r"plane at 0\.0001 m"):
         coarse(1e-4)

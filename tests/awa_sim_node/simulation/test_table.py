@@ -60,7 +60,8 @@ def test_it_goes_on_where_a_line_was_cut_off(reference: str, tmp_path: Path) -> 
     path.write_text(reference[:-60])
     make_table(path, range(5), 1, ROUGH, said.append)
     assert path.read_text() == reference
-    assert said[0] == "4 rows are there, 1 are missing"
+    assert said[0].startswith("4 rows ")
+    assert "1 are missing" in said[0]
 
 
 def test_it_computes_only_what_is_missing(reference: str, tmp_path: Path) -> None:
@@ -103,7 +104,7 @@ def test_a_table_of_another_version_is_refused(reference: str, tmp_path: Path) -
     path = tmp_path / "table.csv"
     text = reference.replace(f"\n{VERSION},1,", "\n0,1,")
     path.write_text(text)
-    message = f"row 1 of {path} is of version 0 of the simulation, and must be of version {VERSION}"
+    message = rf"row 1 of {path} is of version 0 .* version {VERSION}"
     with pytest.raises(ValueError, match=message):
         make_table(path, range(6), 1, ROUGH, quiet)
     assert path.read_text() == text
@@ -112,16 +113,16 @@ def test_a_table_of_another_version_is_refused(reference: str, tmp_path: Path) -
 def test_another_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "notes.txt"
     path.write_text("dear diary\n")
-    with pytest.raises(ValueError, match="must start with the columns version,sample,region,K1"):
+    with pytest.raises(ValueError, match=rf"^{path} .* version,sample,region,K1"):
         make_table(path, range(2), 1, ROUGH, quiet)
     assert path.read_text() == "dear diary\n"
 
 
 def test_bad_requests_write_nothing(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
-    with pytest.raises(ValueError, match="workers is 0, and must be 1 or more"):
+    with pytest.raises(ValueError, match=r"^workers = 0 .* 1 "):
         make_table(path, range(2), 0, ROUGH, quiet)
-    with pytest.raises(ValueError, match="there is no sample -1"):
+    with pytest.raises(ValueError, match=r"^sample = -1 .* from 0 to "):
         make_table(path, [-1], 1, ROUGH, quiet)
     assert not path.exists()
 

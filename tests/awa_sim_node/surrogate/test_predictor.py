@@ -117,7 +117,7 @@ def test_spread_is_that_of_the_members(surrogate: Surrogate, table: Simulations)
     assert list(one) == NAMES
     assert all(type(value) is float and value >= 0.0 for value in one.values())
     assert 0.0 < one["eps_x"] < 0.05 * surrogate.predict(CENTRE)["eps_x"]
-    with pytest.raises(ValueError, match=r"outside the range"):
+    with pytest.raises(ValueError, match=r"is outside "):
         surrogate.spread(CENTRE | {"K1": 1.0})
 
 
@@ -227,13 +227,11 @@ def test_extrapolation_is_refused(surrogate: Surrogate, quantity: metadata.Input
     for edge in (low, high):
         surrogate.predict(CENTRE | {quantity.name: edge})
     for value in (low - 0.01, high + 0.01, math.nan, math.inf):
-        message = (
-            f"{quantity.name} = {value:g} {quantity.unit} is outside the range the surrogate was "
-            f"trained in, {low:g} to {high:g} {quantity.unit}"
-        )
-        with pytest.raises(ValueError, match=r"is outside the range") as caught:
+        with pytest.raises(ValueError, match=r" is outside ") as caught:
             surrogate.predict(CENTRE | {quantity.name: value})
-        assert str(caught.value) == message
+        message = str(caught.value)
+        assert message.startswith(f"{quantity.name} = {value:g} {quantity.unit} is outside ")
+        assert message.endswith(f"{low:g} to {high:g} {quantity.unit}")
 
 
 @pytest.mark.parametrize(
@@ -241,7 +239,7 @@ def test_extrapolation_is_refused(surrogate: Surrogate, quantity: metadata.Input
     [
         (CENTRE | {"K3": 1.0}, r"^input 'K3' must be one of K1, .*, coupler_kick$"),
         ({"K1": 475.0}, r"^input 'K2' must be given$"),
-        (CENTRE | {"K1": [1.0, 2.0], "K2": [1.0, 2.0, 3.0]}, r"arrays of one length$"),
+        (CENTRE | {"K1": [1.0, 2.0], "K2": [1.0, 2.0, 3.0]}, r"one-dimensional arrays"),
         (CENTRE | {"K1": [[475.0]]}, r"^inputs must be numbers or one-dimensional arrays"),
     ],
 )

@@ -1,4 +1,4 @@
-"""The simulated machine, without ROS: actuators, diagnostics, and the physics behind them."""
+"""The simulated machine, without ROS: actuators, diagnostics and the physics model."""
 
 from awa_sim_node.machine.beam import Shot, ShotStatus
 from awa_sim_node.machine.behaviour import Behaviour, Mode

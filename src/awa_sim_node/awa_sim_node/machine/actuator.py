@@ -1,8 +1,8 @@
-"""One actuator: a power supply or an rf phase shifter that takes its time to get where it is told.
+"""One actuator: a power supply or an rf phase shifter that needs time to reach its set-point.
 
-Four things are kept apart, as on a real machine: the *target* it was told, the *position* it has, the
-*readback*, which is the position as its own instrument shows it, and the *strength* that the beam
-feels, which lags behind the position where there is hysteresis.
+As on a real machine, four quantities differ: the *target* is the set-point, the *position* is the
+actual value, the *readback* is the position with the noise of its instrument, and the *strength* is
+the value that the beam feels, which lags behind the position if there is hysteresis.
 """
 
 from __future__ import annotations
@@ -14,32 +14,38 @@ import numpy as np
 
 from awa_sim_node.machine.parameter import parameter
 
-# Reaching a computed event time must not fail for the last bit of a float.
+# Relative tolerance for rounding when a computed event time is reached.
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class ActuatorParameters:
-    """How an actuator moves.
+    """Parameters of an actuator's motion.
 
     Attributes:
-        slew_rate: Greatest speed of the reference [unit/s]; infinite for an instantaneous one.
+        slew_rate: Highest speed of the reference [unit/s]; infinite for an instantaneous actuator.
         time_constant: Time constant of the lag of the position behind the reference [s].
         tolerance: Distance from the target within which the actuator counts as settled [unit].
         readback_noise: Standard deviation of one readback [unit].
         hysteresis: Width of the play between position and strength [unit].
     """
 
-    slew_rate: float = parameter("greatest speed [unit/s]", 1e-3, 1e6)
+    slew_rate: float = parameter("highest speed [unit/s]", 1e-3, 1e6)
     time_constant: float = parameter("time constant of the lag [s]", 0.0, 1e3)
     tolerance: float = parameter("distance from the target that counts as settled [unit]", 1e-6, 10)
     readback_noise: float = parameter("standard deviation of one readback [unit]", 0.0, 10)
     hysteresis: float = parameter(
-        "what the beam feels lags behind by up to half of it [unit]", 0, 10
+        "width of the hysteresis; the field that the beam feels lags by up to half of it [unit]",
+        0,
+        10,
     )
 
     def __post_init__(self) -> None:
-        """Check the values; ValueError if one of them makes no sense."""
+        """Check the values.
+
+        Raises:
+            ValueError: If a value is negative or not finite where that is not allowed.
+        """
         if not self.slew_rate > 0.0:
             raise ValueError(f"slew_rate = {self.slew_rate} must be greater than 0")
         if not (self.time_constant >= 0.0 and math.isfinite(self.time_constant)):
@@ -70,7 +76,12 @@ class Actuator:
     """
 
     def __init__(self, parameters: ActuatorParameters, position: float) -> None:
-        """Create an actuator at rest at ``position``."""
+        """Create an actuator at rest.
+
+        Args:
+            parameters: Parameters of its motion.
+            position: Initial position and target [unit].
+        """
         self._parameters = parameters
         self._target = position
         self._reference = position
@@ -79,27 +90,27 @@ class Actuator:
 
     @property
     def parameters(self) -> ActuatorParameters:
-        """How this actuator moves."""
+        """Parameters of the actuator's motion."""
         return self._parameters
 
     @property
     def target(self) -> float:
-        """Where the actuator was told to go."""
+        """Set-point of the actuator [unit]."""
         return self._target
 
     @property
     def position(self) -> float:
-        """Where the actuator is."""
+        """Position of the actuator [unit]."""
         return self._position
 
     @property
     def strength(self) -> float:
-        """What the beam feels."""
+        """Value that the beam feels [unit]."""
         return self._strength
 
     @property
     def ramping(self) -> bool:
-        """Whether the reference is still on its way to the target."""
+        """Whether the reference is still moving to the target."""
         return self._reference != self._target
 
     @property
@@ -109,12 +120,12 @@ class Actuator:
 
     @property
     def time_to_ramped(self) -> float:
-        """Time until the reference arrives at the target [s]; 0 if it is there."""
+        """Time until the reference reaches the target [s]; 0 if it has."""
         return abs(self._target - self._reference) / self._parameters.slew_rate
 
     @property
     def time_to_settled(self) -> float:
-        """Time until the actuator is settled [s]; 0 if it is."""
+        """Time until the actuator is settled [s]; 0 if it already is."""
         if self.settled:
             return 0.0
         ramp = self.time_to_ramped
@@ -129,7 +140,7 @@ class Actuator:
         self.step(0.0)
 
     def hold(self) -> None:
-        """Stop where the actuator is; that becomes its target."""
+        """Stop the actuator; its position becomes its target."""
         self._target = self._reference = self._position
 
     def step(self, dt: float) -> None:
@@ -138,13 +149,13 @@ class Actuator:
             return
         turn = self._time_to_turn()
         if 0.0 < turn < dt:
-            # The turning point is the farthest that the position gets: the play must see it.
+            # The position is extreme at the turning point, so the hysteresis must be updated there.
             self._advance(turn)
             dt -= turn
         self._advance(dt)
 
     def _advance(self, dt: float) -> None:
-        """Advance by ``dt`` seconds in which the position does not turn round."""
+        """Advance by ``dt`` seconds during which the position does not reverse."""
         self._follow(dt)
         play = 0.5 * self._parameters.hysteresis
         self._strength = min(max(self._strength, self._position - play), self._position + play)
@@ -163,14 +174,14 @@ class Actuator:
         self._position = self._target if within else self._target - lag
 
     def readback(self, rng: np.random.Generator) -> float:
-        """Return the position as the actuator's own instrument shows it, noise included."""
+        """Return the position with the noise of the actuator's instrument [unit]."""
         return self._position + self._parameters.readback_noise * float(rng.standard_normal())
 
     def _time_to_turn(self) -> float:
-        """Return when the position turns round during the ramp [s]; infinite if it does not.
+        """Return the time until the position reverses during the ramp [s]; infinite if it does not.
 
-        It does where it still runs one way while the reference already goes the other: at the
-        moment when the two meet.
+        It reverses if it still moves in one direction while the reference already moves in the
+        other: at the moment when the two meet.
         """
         if not self.ramping or self._parameters.time_constant == 0.0:
             return math.inf
@@ -196,7 +207,7 @@ class Actuator:
         return final + self._decayed(self._reference - self._position - final, dt)
 
     def _decayed(self, lag: float, dt: float) -> float:
-        """Return what is left of ``lag`` after ``dt`` seconds with a reference at rest."""
+        """Return the rest of ``lag`` after ``dt`` seconds with the reference at rest."""
         if self._parameters.time_constant == 0.0:
             return 0.0
         return lag * math.exp(-dt / self._parameters.time_constant)

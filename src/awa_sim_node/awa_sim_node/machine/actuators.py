@@ -14,12 +14,18 @@ from awa_sim_node.machine.kind import Kind
 
 
 class Actuators:
-    """The actuators by the names of the variables, in the machine's order."""
+    """All actuators of a machine by the names of their variables, in the machine's order."""
 
     def __init__(
         self, description: MachineDescription, kinds: Mapping[str, Kind], behaviour: Behaviour
     ) -> None:
-        """Create the actuators, at rest at the initial set-point."""
+        """Create the actuators at rest at the initial set-point.
+
+        Args:
+            description: Description of the machine.
+            kinds: Kind of each variable.
+            behaviour: Parameters of the machine's behaviour.
+        """
         parameters = {
             Kind.SOLENOID: behaviour.solenoid,
             Kind.PHASE: behaviour.phase,
@@ -38,42 +44,42 @@ class Actuators:
 
     @property
     def targets(self) -> dict[str, float]:
-        """Where each was told to be."""
+        """Set-point of each actuator."""
         return {name: actuator.target for name, actuator in self._actuators.items()}
 
     @property
     def strengths(self) -> dict[str, float]:
-        """What the beam feels of each."""
+        """Value of each actuator that the beam feels."""
         return {name: actuator.strength for name, actuator in self._actuators.items()}
 
     @property
     def settled(self) -> dict[str, bool]:
-        """Whether each rests on its target."""
+        """Whether each actuator is settled on its target."""
         return {name: actuator.settled for name, actuator in self._actuators.items()}
 
     @property
     def all_settled(self) -> bool:
-        """Whether all rest on their targets."""
+        """Whether all actuators are settled."""
         return all(actuator.settled for actuator in self._actuators.values())
 
     @property
     def ramping(self) -> bool:
-        """Whether the reference of any is still on its way."""
+        """Whether any actuator is ramping."""
         return any(actuator.ramping for actuator in self._actuators.values())
 
     @property
     def time_to_ramped(self) -> float:
-        """Time until none of them ramps [s]."""
+        """Time until no actuator is ramping [s]."""
         return max(actuator.time_to_ramped for actuator in self._actuators.values())
 
     @property
     def time_to_settled(self) -> float:
-        """Time until all are settled [s]."""
+        """Time until all actuators are settled [s]."""
         return max(actuator.time_to_settled for actuator in self._actuators.values())
 
     @property
     def time_to_next_event(self) -> float:
-        """Time until one of them has ramped or settled [s]; infinite when all rest."""
+        """Time until an actuator has ramped or settled [s]; infinite if all are settled."""
         return min(
             (
                 actuator.time_to_ramped if actuator.ramping else actuator.time_to_settled
@@ -84,30 +90,34 @@ class Actuators:
         )
 
     def readbacks(self, rng: np.random.Generator) -> dict[str, float]:
-        """Return each position as its own instrument shows it."""
+        """Return the position of each actuator with the noise of its instrument."""
         return {name: actuator.readback(rng) for name, actuator in self._actuators.items()}
 
     def set(self, targets: Mapping[str, float]) -> None:
-        """Start moving."""
+        """Start moving to the targets; actuators that are not named are unaffected."""
         for name, target in targets.items():
             self._actuators[name].set(target)
 
     def hold(self) -> None:
-        """Stop all where they are."""
+        """Stop all actuators at their positions."""
         for actuator in self._actuators.values():
             actuator.hold()
 
     def step(self, dt: float) -> None:
-        """Advance all by ``dt`` >= 0 seconds."""
+        """Advance all actuators by ``dt`` >= 0 seconds."""
         for actuator in self._actuators.values():
             actuator.step(dt)
 
     def checked(self, setpoint: Mapping[str, float], partial: bool = False) -> dict[str, float]:
-        """Return the set-point in the machine's order.
+        """Return the checked set-point in the machine's order.
+
+        Args:
+            setpoint: Value of each variable, in its unit.
+            partial: Whether variables may be missing.
 
         Raises:
             ValueError: If a variable is unknown, not finite or outside its limits, or missing
-                where ``partial`` is false.
+                although ``partial`` is false.
         """
         variables = self._description.variables
         names = ", ".join(variable.name for variable in variables)

@@ -1,4 +1,4 @@
-"""One shot of the beam: what it felt, what it truly was, and what the instruments made of it."""
+"""One shot of the beam: its inputs, its true values, and the values that the instruments show."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ TRANSMISSION = "transmission"
 
 
 class ShotStatus(StrEnum):
-    """What became of a shot."""
+    """Validity of a shot."""
 
     GOOD = "good"
     RETAKEN = "retaken"  # the charge was too far from its target
-    DROPPED = "dropped"  # the instruments gave nothing
-    LOST = "lost"  # too little of the beam arrived
+    DROPPED = "dropped"  # the instruments returned no data
+    LOST = "lost"  # the transmission was too low
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,11 @@ class Shot:
     """One shot.
 
     Attributes:
-        time: When, in simulated time since the machine was switched on [s].
-        status: What became of it.
-        inputs: What the beam felt: every input of the model, drift and jitter included.
-        truth: The true value of every diagnostic, for tests only.
-        measured: What was measured of every diagnostic; NaN where nothing was.
+        time: Simulated time since the machine was switched on [s].
+        status: Validity of the shot.
+        inputs: Every input of the model, including drift and jitter.
+        truth: True value of every diagnostic, for tests only.
+        measured: Measured value of every diagnostic; NaN if it was not measured.
     """
 
     time: float
@@ -49,7 +49,7 @@ class Shot:
 
 
 class Beam:
-    """Makes shots: jitter and drift act through the model, and the instruments add their noise."""
+    """Source of shots: jitter and drift act on the model's inputs, the instruments add noise."""
 
     def __init__(
         self,
@@ -59,7 +59,15 @@ class Beam:
         drift: DriftParameters,
         rng: np.random.Generator,
     ) -> None:
-        """Prepare the beam; ``rng`` is the source of the drift."""
+        """Prepare the beam.
+
+        Args:
+            model: Physics model of the machine.
+            parameters: Parameters of the beam and its measurement.
+            jitter: Parameters of the jitter from shot to shot.
+            drift: Parameters of the drift.
+            rng: Random number generator of the drift.
+        """
         self._model = model
         self._parameters = parameters
         self._jitter = Jitter(jitter, model.kinds)
@@ -75,23 +83,23 @@ class Beam:
 
     @property
     def latest_inputs(self) -> Mapping[str, float]:
-        """What the beam felt in the latest shot; empty before the first."""
+        """Inputs of the model in the latest shot; empty before the first."""
         return self._inputs
 
     def shot(self, time: float, strengths: Mapping[str, float], rng: np.random.Generator) -> Shot:
         """Take a shot.
 
         Args:
-            time: Of the shot [s]; not earlier than that of the one before.
-            strengths: What the actuators are set to, as the beam feels it.
-            rng: Source of jitter and noise.
+            time: Time of the shot [s]; not earlier than that of the previous shot.
+            strengths: Value of each actuator that the beam feels.
+            rng: Random number generator of jitter and noise.
         """
         inputs = self._felt(time, strengths, rng)
         if inputs != self._inputs:
             self._inputs, self._truth = inputs, self._model.true_values(inputs)
         truth = self._truth
         measured = {name: self._noise[name].shot(value, rng) for name, value in truth.items()}
-        # Drawn whether needed or not, so that one shot's fate does not shift the chance of the next.
+        # Always drawn, so that the random numbers of later shots do not depend on this one's status.
         chances = rng.random(1 + len(self._model.images))
         status = self._status(measured, float(chances[0]))
         missing: set[str] = set()
@@ -108,7 +116,7 @@ class Beam:
     def _felt(
         self, time: float, strengths: Mapping[str, float], rng: np.random.Generator
     ) -> dict[str, float]:
-        """Return what the beam feels, within the ranges in which the model answers."""
+        """Return the model's inputs, clipped to the ranges of the model."""
         drift, jitter = self._drift.at(time), self._jitter.draw(rng)
         inputs = dict(strengths)
         if self._has_charge:

@@ -1,4 +1,4 @@
-"""How a machine behaves: all its parameters, and the three modes that are sets of their defaults."""
+"""Behaviour of a machine: all its parameters, and three modes with their default values."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from awa_sim_node.machine.trips import TripParameters
 
 
 class Mode(StrEnum):
-    """How well a machine behaves.
+    """Set of default values for the behaviour parameters.
 
-    ``ideal`` knows no chance and no fault, and moves as in life; ``nominal`` is a good day;
-    ``rough`` is a bad one.
+    ``ideal`` has no randomness and no faults, but realistic motion; ``nominal`` is a good day;
+    ``rough`` is a bad day.
     """
 
     IDEAL = "ideal"
@@ -32,7 +32,7 @@ class Mode(StrEnum):
 class Behaviour:
     """All parameters of a machine's behaviour, in groups.
 
-    One parameter is called by its group and its name in it, as in ``drift_phase``.
+    The full name of a parameter is its group and its name, e.g. ``drift_phase``.
     """
 
     beam: BeamParameters
@@ -46,7 +46,7 @@ class Behaviour:
 
     @property
     def values(self) -> dict[str, float]:
-        """Every parameter by its name, in order."""
+        """Value of every parameter by its full name, in order."""
         return {
             f"{group.name}_{item.name}": getattr(getattr(self, group.name), item.name)
             for group in fields(self)
@@ -55,6 +55,9 @@ class Behaviour:
 
     def changed(self, values: Mapping[str, float]) -> Behaviour:
         """Return a behaviour with some parameters changed.
+
+        Args:
+            values: New values by full name.
 
         Raises:
             ValueError: If a parameter is unknown or not allowed.
@@ -74,13 +77,13 @@ class Behaviour:
             }
             try:
                 groups[group.name] = replace(own, **changes)
-            except ValueError as error:  # two parameters that do not go together
+            except ValueError as error:  # two parameters contradict each other
                 raise ValueError(f"{group.name}_{error}") from None
         return replace(self, **groups)
 
     @property
     def infos(self) -> dict[str, ParameterInfo]:
-        """What is known of every parameter besides its value."""
+        """Meaning, range and source of every parameter by its full name."""
         return {
             f"{group.name}_{item.name}": info_of(item)
             for group in fields(self)
@@ -180,4 +183,4 @@ TOY: Final[Mapping[Mode, Behaviour]] = {
     Mode.NOMINAL: _TOY.changed({"beam_noise_scale": 1.0}),
     Mode.ROUGH: _TOY.changed({"beam_noise_scale": 3.0, "beam_dropout": 0.01}),
 }
-"""The modes of the toy problem, which has neither a beam to lose nor a gun to trip."""
+"""The modes of the toy problem, which has no beam loss and no gun trips."""

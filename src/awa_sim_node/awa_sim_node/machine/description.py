@@ -1,4 +1,4 @@
-"""What a machine can be told and what it can tell: names, units and limits."""
+"""Description of a machine: names, units and limits of its variables and diagnostics."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Variable:
-    """One setting of the machine.
+    """One variable of the machine.
 
     Attributes:
-        name: The variable's name in set-points and readbacks.
-        unit: Unit of the value, e.g. ``"A"``; empty where it has none.
-        minimum: Lowest set-point the machine accepts, in ``unit``.
-        maximum: Highest set-point the machine accepts, in ``unit``.
-        initial: Where the variable stands when the machine is switched on, in ``unit``.
+        name: Name in set-points and readbacks.
+        unit: Unit of the value, e.g. ``"A"``; empty if it has none.
+        minimum: Lowest set-point that the machine accepts, in ``unit``.
+        maximum: Highest set-point that the machine accepts, in ``unit``.
+        initial: Value when the machine is switched on, in ``unit``.
     """
 
     name: str
@@ -26,7 +26,12 @@ class Variable:
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """One quantity the machine measures; ``unit`` is empty where it has none."""
+    """One quantity that the machine measures.
+
+    Attributes:
+        name: Name of the quantity.
+        unit: Unit of the value; empty if it has none.
+    """
 
     name: str
     unit: str
@@ -34,13 +39,13 @@ class Diagnostic:
 
 @dataclass(frozen=True)
 class MachineDescription:
-    """All that must be known about a machine before it is tuned.
+    """Static description of a machine.
 
     Attributes:
-        name: Name of the machine, as given to ``describe``.
-        title: What the machine is, in a few words.
-        variables: The settings, in the machine's order.
-        diagnostics: The measured quantities, in the machine's order.
+        name: Name of the machine, as passed to ``describe``.
+        title: Short description for people.
+        variables: Variables, in the machine's order.
+        diagnostics: Diagnostics, in the machine's order.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""What the instruments show: noisy shots, and the readings averaged from them."""
+"""Instruments: the noise of one shot, and the readings averaged over several shots."""
 
 from __future__ import annotations
 
@@ -14,14 +14,18 @@ class ShotNoise:
 
     Attributes:
         fraction: Standard deviation as a fraction of the true value.
-        floor: Least standard deviation, in the diagnostic's unit.
+        floor: Lowest standard deviation, in the diagnostic's unit.
     """
 
     fraction: float = 0.0
     floor: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the values; ValueError if one of them is negative or not finite."""
+        """Check the values.
+
+        Raises:
+            ValueError: If a value is negative or not finite.
+        """
         for name, value in (("fraction", self.fraction), ("floor", self.floor)):
             if not (value >= 0.0 and math.isfinite(value)):
                 raise ValueError(f"{name} = {value} must be finite and at least 0")
@@ -31,7 +35,7 @@ class ShotNoise:
         return max(self.fraction * abs(value), self.floor)
 
     def shot(self, value: float, rng: np.random.Generator) -> float:
-        """Return one measured shot of the true value ``value``."""
+        """Return the true value ``value`` with the noise of one shot."""
         return value + self.stddev(value) * float(rng.standard_normal())
 
 
@@ -42,8 +46,8 @@ class Reading:
     Attributes:
         name: Name of the variable or diagnostic.
         value: Mean over the shots, in ``unit``; NaN if nothing was measured.
-        stddev: Standard uncertainty of ``value`` (not of one shot), in ``unit``; NaN if not known.
-        unit: Unit of the value; empty where it has none.
+        stddev: Standard uncertainty of ``value`` (not of one shot), in ``unit``; NaN if unknown.
+        unit: Unit of the value; empty if it has none.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""What wanders over hours: phases, gradients and charge, each an Ornstein-Uhlenbeck process."""
+"""Slow drift of phases, gradients and charge: one Ornstein-Uhlenbeck process each."""
 
 from __future__ import annotations
 
@@ -14,28 +14,40 @@ from awa_sim_node.machine.parameter import ParameterGroup, parameter
 
 @dataclass(frozen=True)
 class DriftParameters(ParameterGroup):
-    """Standard deviations after a long time. The beam feels them, the readbacks do not show them."""
+    """Parameters of the drift. It acts on the beam, but the readbacks do not show it."""
 
-    charge: float = parameter("bunch charge, as a fraction", 0.0, 0.5)
-    phase: float = parameter("phase of each cavity [deg]", 0.0, 5.0)
-    gradient: float = parameter("gradient of each cavity, as a fraction", 0.0, 0.1)
+    charge: float = parameter(
+        "standard deviation of the drift of the bunch charge, as a fraction", 0.0, 0.5
+    )
+    phase: float = parameter(
+        "standard deviation of the drift of each cavity's phase [deg]", 0.0, 5.0
+    )
+    gradient: float = parameter(
+        "standard deviation of the drift of each cavity's gradient, as a fraction", 0.0, 0.1
+    )
     correlation_time: float = parameter(
-        "time after which a drift is forgotten to 1/e [s]", 1.0, 1e6
+        "time in which the correlation of a drift falls to 1/e [s]", 1.0, 1e6
     )
 
 
 class Drift:
-    """Independent Ornstein-Uhlenbeck processes that start at zero, with the machine set up well.
+    """Independent Ornstein-Uhlenbeck processes that start at zero.
 
     dx = -x dt / tau + s sqrt(2 / tau) dW is advanced by its exact solution over a time t,
     x -> x exp(-t / tau) + s sqrt(1 - exp(-2 t / tau)) N(0, 1), so that its statistics do not depend
-    on how often it is looked at (Gillespie, Phys. Rev. E 54, 2084 (1996)).
+    on how often it is read (Gillespie, Phys. Rev. E 54, 2084 (1996)).
     """
 
     def __init__(
         self, parameters: DriftParameters, kinds: Mapping[str, Kind], rng: np.random.Generator
     ) -> None:
-        """Start the drifts of inputs of these kinds at time 0."""
+        """Start the drift of each input at time 0.
+
+        Args:
+            parameters: Parameters of the drift.
+            kinds: Kind of each input.
+            rng: Random number generator.
+        """
         sizes = {
             Kind.CHARGE: parameters.charge,
             Kind.PHASE: parameters.phase,
@@ -50,11 +62,11 @@ class Drift:
         self._time = 0.0
 
     def at(self, time: float) -> dict[str, float]:
-        """Return the drift of each input that drifts: in degrees, or as a fraction.
+        """Return the drift of each input that drifts, in degrees or as a fraction.
 
         Args:
-            time: Since the machine was switched on [s]; must not be earlier than that of the call
-                before.
+            time: Time since the machine was switched on [s]; must not be earlier than in the
+                previous call.
         """
         elapsed = time - self._time
         if self._names and elapsed > 0.0:

@@ -1,4 +1,4 @@
-"""One evaluation: going to a set-point, waiting until it is settled, and measuring there."""
+"""One evaluation: move to a set-point, wait until the machine is settled, and measure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mobo_tuner.machine.averaging import average
 
 
 class Phase(StrEnum):
-    """What an evaluation is doing."""
+    """Phase of an evaluation."""
 
     RAMP = "ramp"
     SETTLE = "settle"
@@ -25,12 +25,12 @@ class Phase(StrEnum):
 
     @property
     def finished(self) -> bool:
-        """Whether nothing more will happen."""
+        """Whether the evaluation has ended."""
         return self in (Phase.DONE, Phase.STOPPED, Phase.FAILED)
 
 
 class Cause(StrEnum):
-    """Why an evaluation failed."""
+    """Cause of a failed evaluation."""
 
     INTERLOCK = "interlock"
     TRIP = "trip"
@@ -41,7 +41,12 @@ class Cause(StrEnum):
 
 @dataclass(frozen=True)
 class EvaluationFailure:
-    """Why an evaluation failed: the cause, and one sentence."""
+    """Failure of an evaluation.
+
+    Attributes:
+        cause: Cause of the failure.
+        message: One sentence for people.
+    """
 
     cause: Cause
     message: str
@@ -49,16 +54,17 @@ class EvaluationFailure:
 
 @dataclass(frozen=True)
 class EvaluationResult:
-    """What an evaluation brought.
+    """Result of an evaluation.
 
     Attributes:
-        readbacks: One reading a variable, averaged over the shots, in the machine's order.
-        diagnostics: One reading a diagnostic, averaged over the shots, in the machine's order; NaN
-            if not measured.
-        shots: Number of shots that gave anything.
-        retaken: Number of shots that were taken again besides, since their charge was off.
-        duration: Simulated time the evaluation took [s].
-        failure: Why it failed, with what was measured so far; None where it did not.
+        readbacks: One reading per variable, averaged over the shots, in the machine's order.
+        diagnostics: One reading per diagnostic, averaged over the shots, in the machine's order;
+            NaN if it was not measured.
+        shots: Number of shots that returned data.
+        retaken: Number of additional shots that were discarded because of their charge.
+        duration: Simulated time that the evaluation took [s].
+        failure: Failure of the evaluation; None if it succeeded. The readings are those taken
+            before it failed.
     """
 
     readbacks: tuple[Reading, ...]
@@ -70,15 +76,15 @@ class EvaluationResult:
 
 
 class Evaluation:
-    """The state of an evaluation, kept by the machine and looked at by whoever drives it."""
+    """State of an evaluation, updated by the machine and read by its caller."""
 
     def __init__(self, setpoint: dict[str, float], shots: int, duration: float) -> None:
         """Create the state of an evaluation that is about to start.
 
         Args:
-            setpoint: Where it goes.
-            shots: Number of shots it will average.
-            duration: Simulated time it will take if nothing goes wrong [s].
+            setpoint: Set-point to evaluate.
+            shots: Number of shots to average.
+            duration: Simulated time that it takes without trips and retaken shots [s].
         """
         self.setpoint = setpoint
         self.shots = shots
@@ -86,18 +92,18 @@ class Evaluation:
         self.phase = Phase.RAMP
         self.elapsed = 0.0
         self.waited = 0.0
-        """Simulated time without progress so far, in trips or by shots that were retaken [s]."""
+        """Simulated time lost so far by trips and retaken shots [s]."""
         self.without_beam = 0.0
-        """Part of it without beam [s]."""
+        """Part of ``waited`` without beam [s]."""
         self.retaken = 0
         self.result: EvaluationResult | None = None
-        """The result; None until the evaluation is finished."""
+        """Result of the evaluation; None until it is finished."""
         self._readbacks: list[dict[str, float]] = []
         self._shots: list[Shot] = []
 
     @property
     def fraction(self) -> float:
-        """How far it is, from 0 to 1; it stays put once stopped."""
+        """Progress from 0 to 1; it no longer changes once the evaluation is stopped."""
         if self.phase is Phase.DONE:
             return 1.0
         worked = max(0.0, self.elapsed - self.waited)
@@ -105,23 +111,23 @@ class Evaluation:
 
     @property
     def remaining(self) -> float:
-        """Simulated time until it is done, if nothing else goes wrong [s]."""
+        """Simulated time until the evaluation is done, without further trips and retakes [s]."""
         if self.phase.finished:
             return 0.0
         return max(0.0, self.duration + self.waited - self.elapsed)
 
     @property
     def taken(self) -> int:
-        """Number of shots taken so far, those retaken not counted."""
+        """Number of shots taken so far, without retaken ones."""
         return len(self._shots)
 
     @property
     def complete(self) -> bool:
-        """Whether all shots are taken."""
+        """Whether all shots have been taken."""
         return self.taken >= self.shots
 
     def add(self, shot: Shot, readbacks: dict[str, float]) -> None:
-        """Keep one shot, and what the readbacks showed with it."""
+        """Add one shot and the readbacks at its time."""
         self._shots.append(shot)
         self._readbacks.append(readbacks)
 
@@ -132,15 +138,15 @@ class Evaluation:
         failure: EvaluationFailure | None,
         where: dict[str, float],
     ) -> None:
-        """End the evaluation with what was measured so far.
+        """End the evaluation with the shots taken so far.
 
         Args:
-            description: Of the machine.
-            phase: How it ended.
-            failure: Why, where ``phase`` is ``FAILED``.
-            where: What the readbacks show now.
+            description: Description of the machine.
+            phase: Final phase.
+            failure: Failure of the evaluation, if ``phase`` is ``FAILED``.
+            where: Current readbacks, used if no shot was taken.
         """
-        # Where the machine was stopped is worth knowing even if no shot was taken there.
+        # The position is reported even if no shot was taken.
         readbacks = self._readbacks or [where]
         self.result = EvaluationResult(
             readbacks=tuple(
@@ -159,7 +165,7 @@ class Evaluation:
         self.phase = phase
 
     def verdict(self, description: MachineDescription) -> EvaluationFailure | None:
-        """Return why the shots, all taken, are no measurement; None where they are one."""
+        """Return the failure if the completed shots do not form a valid measurement, else None."""
         missing = [
             diagnostic.name
             for diagnostic in description.diagnostics
@@ -172,11 +178,11 @@ class Evaluation:
             worst = min(shot.measured["transmission"] for shot in lost)
             return EvaluationFailure(
                 Cause.LOSS,
-                f"beam was lost in {len(lost)} of {self.taken} shots, down to a transmission of "
-                f"{worst:.3g}, so that {missing[0]} could not be measured",
+                f"{missing[0]} could not be measured: beam was lost in {len(lost)} of "
+                f"{self.taken} shots; the lowest transmission was {worst:.3g}",
             )
         return EvaluationFailure(
-            Cause.NO_DATA, f"none of {self.taken} shots gave a valid {missing[0]}"
+            Cause.NO_DATA, f"{missing[0]} has no valid value in any of {self.taken} shots"
         )
 
 

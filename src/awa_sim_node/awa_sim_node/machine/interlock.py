@@ -1,4 +1,4 @@
-"""The interlock: lasting beam loss stops everything until somebody clears it."""
+"""The interlock: persistent beam loss stops the machine until the interlock is cleared."""
 
 from __future__ import annotations
 
@@ -13,18 +13,24 @@ class InterlockError(RuntimeError):
 
 @dataclass(frozen=True)
 class InterlockParameters(ParameterGroup):
-    """When the interlock is raised."""
+    """Parameters of the interlock."""
 
     shots: int = parameter(
-        "shots with beam loss in a row that raise the interlock; 0 = none do", 0, 1_000_000
+        "number of consecutive shots with beam loss that raises the interlock; 0 = never",
+        0,
+        1_000_000,
     )
 
 
 class Interlock:
-    """Counts shots with beam loss, and stays raised once there were too many in a row."""
+    """An interlock that too many consecutive shots with beam loss raise, until it is cleared."""
 
     def __init__(self, parameters: InterlockParameters) -> None:
-        """Start with the interlock cleared."""
+        """Start with the interlock cleared.
+
+        Args:
+            parameters: Parameters of the interlock.
+        """
         self._limit = parameters.shots
         self._lossy = 0
         self._reason = ""
@@ -36,24 +42,32 @@ class Interlock:
 
     @property
     def reason(self) -> str:
-        """Why it is raised, in one sentence; empty where it is not."""
+        """Reason why the interlock is raised, in one sentence; empty if it is not."""
         return self._reason
 
     def see(self, lost: bool) -> None:
-        """Take note of one shot."""
+        """Count one shot.
+
+        Args:
+            lost: Whether the shot lost beam.
+        """
         self._lossy = self._lossy + 1 if lost else 0
         if self._limit and self._lossy >= self._limit and not self.raised:
             self._reason = (
-                f"the interlock is raised: {self._lossy} shots in a row lost beam; clear it before "
-                "the machine moves again"
+                f"the interlock is raised: {self._lossy} consecutive shots lost beam; clear the "
+                "interlock to move the machine again"
             )
 
     def clear(self) -> None:
-        """Allow the machine to move again, and count from zero."""
+        """Allow motion again and restart the count at zero."""
         self._lossy = 0
         self._reason = ""
 
     def check(self) -> None:
-        """Raise InterlockError if the interlock is raised."""
+        """Check that the machine may move.
+
+        Raises:
+            InterlockError: If the interlock is raised.
+        """
         if self.raised:
             raise InterlockError(self._reason)

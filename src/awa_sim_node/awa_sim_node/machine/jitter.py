@@ -1,4 +1,4 @@
-"""What changes from shot to shot: the laser's energy and timing, and the fields of the cavities."""
+"""Jitter from shot to shot: the laser's energy and timing, and the fields of the cavities."""
 
 from __future__ import annotations
 
@@ -13,19 +13,32 @@ from awa_sim_node.machine.parameter import SOURCED, ParameterGroup, parameter
 
 @dataclass(frozen=True)
 class JitterParameters(ParameterGroup):
-    """Standard deviations from shot to shot. The beam feels them, the readbacks do not show them."""
+    """Parameters of the jitter. It acts on the beam, but the readbacks do not show it."""
 
-    charge: float = parameter("bunch charge, as a fraction", 0.0, 0.5, SOURCED)
-    timing: float = parameter("laser timing, which all phases share [deg]", 0.0, 5.0, SOURCED)
-    phase: float = parameter("phase of each cavity by itself [deg]", 0.0, 5.0)
-    gradient: float = parameter("gradient of each cavity, as a fraction", 0.0, 0.1)
+    charge: float = parameter(
+        "standard deviation of the bunch charge, as a fraction", 0.0, 0.5, SOURCED
+    )
+    timing: float = parameter(
+        "standard deviation of the laser timing, common to all phases [deg]", 0.0, 5.0, SOURCED
+    )
+    phase: float = parameter(
+        "standard deviation of each cavity's phase, without that of the laser [deg]", 0.0, 5.0
+    )
+    gradient: float = parameter(
+        "standard deviation of each cavity's gradient, as a fraction", 0.0, 0.1
+    )
 
 
 class Jitter:
-    """Draws what one shot deviates by."""
+    """Random deviations of the model's inputs in one shot."""
 
     def __init__(self, parameters: JitterParameters, kinds: Mapping[str, Kind]) -> None:
-        """Prepare the jitter of inputs of these kinds."""
+        """Prepare the jitter.
+
+        Args:
+            parameters: Parameters of the jitter.
+            kinds: Kind of each input.
+        """
         self._timing = parameters.timing
         sizes = {
             Kind.CHARGE: parameters.charge,
@@ -36,7 +49,7 @@ class Jitter:
         self._phases = [name for name, kind in kinds.items() if kind is Kind.PHASE]
 
     def draw(self, rng: np.random.Generator) -> dict[str, float]:
-        """Return the deviation of each input that jitters: in degrees, or as a fraction."""
+        """Return the deviation of each input that jitters, in degrees or as a fraction."""
         numbers = rng.standard_normal(1 + len(self._sizes))
         deviations = {
             name: size * float(number)

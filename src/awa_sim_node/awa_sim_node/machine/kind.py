@@ -1,14 +1,14 @@
-"""The kinds of things that the beam feels, which decide how they move, jitter and drift."""
+"""Kinds of model inputs; the kind decides how an input moves, jitters and drifts."""
 
 from enum import StrEnum
 
 
 class Kind(StrEnum):
-    """What an input of a model is."""
+    """Kind of an input of a model."""
 
     SOLENOID = "solenoid"
     PHASE = "phase"
     GRADIENT = "gradient"
     CHARGE = "charge"
-    FIXED = "fixed"  # neither moves nor changes of itself
-    EXACT = "exact"  # moves at once, and is where it was told to be
+    FIXED = "fixed"  # constant
+    EXACT = "exact"  # moves at once and exactly to its set-point

@@ -1,7 +1,6 @@
 """The simulated machine: moves, settles and measures in simulated time.
 
-It knows no clock and no ROS: whoever drives it says how much simulated time has passed, with
-``step``.
+It uses neither a clock nor ROS: its caller advances the simulated time with ``step``.
 """
 
 from __future__ import annotations
@@ -23,16 +22,16 @@ from awa_sim_node.machine.trips import Trips
 
 MAX_SHOTS: Final = 10_000
 
-# Shots and ends of motion closer together than this are one event [s].
+# Events closer together than this count as one event [s].
 _INSTANT: Final = 1e-9
 
 
 class SimulatedMachine:
-    """A machine that takes its time, measures with noise, and has its bad moments.
+    """A machine with finite speed, noise, drift, trips and an interlock.
 
-    It does one thing at a time: an evaluation (``start_evaluation``), a measurement where it stands
-    (``measure``) or a mere ``move``. Equal seeds and equal orders give equal results, however often
-    the readbacks are looked at; without drift and trips, also however time is cut into steps.
+    It does one thing at a time: an evaluation (``start_evaluation``), a measurement at the current
+    position (``measure``), or a ``move``. Equal seeds and equal calls give equal results, however
+    often the readbacks are read; without drift and trips, also for any division of time into steps.
     """
 
     def __init__(
@@ -47,12 +46,12 @@ class SimulatedMachine:
         Args:
             model: Name of the model, or the model itself.
             mode: ``ideal``, ``nominal`` or ``rough``: the defaults of all parameters.
-            seed: Seed of all chance; None takes one from the operating system.
-            parameters: Parameters of the behaviour that differ from the mode's, by name.
+            seed: Seed of the random number generators; None takes one from the operating system.
+            parameters: Behaviour parameters that differ from the mode's defaults, by name.
 
         Raises:
-            ValueError: If the model, the mode or a parameter is not known or not allowed, or the
-                seed is negative.
+            ValueError: If the model, the mode or a parameter is unknown or not allowed, or the seed
+                is negative.
         """
         if mode not in list(Mode):
             raise ValueError(f"mode = {mode!r} must be one of {', '.join(Mode)}")
@@ -61,7 +60,7 @@ class SimulatedMachine:
         self._model = create_model(model) if isinstance(model, str) else model
         self._mode = Mode(mode)
         self._behaviour = self._model.modes[self._mode].changed(parameters or {})
-        # Streams of their own: looking at readbacks must not change what is measured.
+        # Separate random streams, so that reading the readbacks does not change the measurements.
         shots, looks, drift, trips = np.random.SeedSequence(seed).spawn(4)
         self._shot_rng = np.random.default_rng(shots)
         self._look_rng = np.random.default_rng(looks)
@@ -91,12 +90,12 @@ class SimulatedMachine:
 
     @property
     def mode(self) -> Mode:
-        """How well the machine behaves."""
+        """Mode that set the defaults of the behaviour."""
         return self._mode
 
     @property
     def behaviour(self) -> Behaviour:
-        """All parameters of how it behaves."""
+        """All parameters of the machine's behaviour."""
         return self._behaviour
 
     @property
@@ -106,37 +105,37 @@ class SimulatedMachine:
 
     @property
     def setpoint(self) -> dict[str, float]:
-        """Where every variable was told to be."""
+        """Set-point of every variable."""
         return self._actuators.targets
 
     @property
     def settled(self) -> bool:
-        """Whether every actuator rests on its target."""
+        """Whether every actuator is settled on its target."""
         return self._actuators.all_settled
 
     @property
     def settled_variables(self) -> dict[str, bool]:
-        """Whether the actuator of each variable rests on its target."""
+        """Whether the actuator of each variable is settled on its target."""
         return self._actuators.settled
 
     @property
     def time_to_ramped(self) -> float:
-        """Simulated time until every actuator has stopped ramping [s]; 0 if none does."""
+        """Simulated time until no actuator is ramping [s]; 0 if none is."""
         return self._actuators.time_to_ramped
 
     @property
     def time_to_settled(self) -> float:
-        """Simulated time until every actuator rests on its target [s]; 0 if all do."""
+        """Simulated time until every actuator is settled [s]; 0 if all are."""
         return self._actuators.time_to_settled
 
     @property
     def measuring(self) -> bool:
-        """Whether an evaluation or a measurement runs."""
+        """Whether an evaluation or a measurement is running."""
         return self._running is not None
 
     @property
     def busy(self) -> bool:
-        """Whether something moves or an evaluation runs."""
+        """Whether an actuator is moving or an evaluation is running."""
         return self.measuring or not self.settled
 
     @property
@@ -151,41 +150,44 @@ class SimulatedMachine:
 
     @property
     def interlock(self) -> str:
-        """Why the interlock is raised, in one sentence; empty where it is not."""
+        """Reason why the interlock is raised, in one sentence; empty if it is not."""
         return self._interlock.reason
 
     @property
     def time_to_next_event(self) -> float:
-        """Simulated time until a phase ends, an actuator settles, a shot is due or a trip may come.
+        """Simulated time until a phase ends, an actuator settles, a shot is due or a trip may occur.
 
-        It is infinite when the machine rests and nothing can happen to it [s].
+        It is infinite if no event is due [s].
         """
         trips = math.inf if self._trips is None else self._trips.time_to_next_event
         return min(self._time_to_shot, self._actuators.time_to_next_event, trips)
 
     def readbacks(self) -> dict[str, float]:
-        """Return every variable as its own instrument shows it now."""
+        """Return the current readback of every variable."""
         return self._actuators.readbacks(self._look_rng)
 
     def spread(self) -> dict[str, float]:
-        """Return the model's own uncertainty of each diagnostic of the latest shot, if it has any."""
+        """Return the model's uncertainty of each diagnostic at the inputs of the latest shot.
+
+        It is empty before the first shot, and for a model without uncertainty.
+        """
         inputs = self._beam.latest_inputs
         return self._model.spread(inputs) if inputs else {}
 
     def move(self, setpoint: Mapping[str, float]) -> float:
-        """Start moving to ``setpoint``, without measuring there.
+        """Start moving to ``setpoint``, without a measurement.
 
         Args:
             setpoint: One value for each variable, in its unit.
 
         Returns:
-            The simulated time until all is settled [s].
+            The simulated time until the machine is settled [s].
 
         Raises:
             ValueError: If a variable is missing, unknown, not finite or outside its limits; nothing
                 moves.
-            RuntimeError: If the machine is busy; InterlockError, which is one, if the interlock is
-                raised. Nothing changes.
+            RuntimeError: If the machine is busy; nothing changes.
+            InterlockError: If the interlock is raised; nothing changes.
         """
         targets = self._actuators.checked(setpoint)
         self._check_free()
@@ -194,15 +196,20 @@ class SimulatedMachine:
         return self.time_to_settled
 
     def set(self, name: str, value: float) -> None:
-        """Set one variable, whether or not it or others move; the others go on.
+        """Start moving one variable; it may be moving already, and the others are unaffected.
+
+        Args:
+            name: Name of the variable.
+            value: Set-point, in the variable's unit.
 
         Raises:
             ValueError: If the variable is unknown, or the value not finite or outside its limits.
-            RuntimeError: If an evaluation runs; InterlockError if the interlock is raised.
+            RuntimeError: If an evaluation is running.
+            InterlockError: If the interlock is raised.
         """
         target = self._actuators.checked({name: value}, partial=True)
         if self.measuring:
-            raise RuntimeError("an evaluation is running; nothing else may move the machine")
+            raise RuntimeError("an evaluation is running; wait for it, or stop it first")
         self._interlock.check()
         self._actuators.set(target)
 
@@ -212,20 +219,22 @@ class SimulatedMachine:
         shots: int | None = None,
         on_shot: Callable[[Shot], None] | None = None,
     ) -> Evaluation:
-        """Start an evaluation: go to ``setpoint``, settle, and average some shots.
+        """Start an evaluation: move to ``setpoint``, settle, and average some shots.
 
         Args:
             setpoint: One value for each variable, in its unit.
-            shots: Number of shots to average; None for the machine's usual number.
-            on_shot: Is given every shot, retaken ones too, and may ``stop`` the machine.
+            shots: Number of shots to average; None for the machine's default.
+            on_shot: Callable that receives every shot, including retaken ones; it may ``stop`` the
+                machine.
 
         Returns:
-            The evaluation; ``step`` drives it on, and its ``result`` is there once it is finished.
+            The evaluation; ``step`` advances it, and its ``result`` is set when it is finished.
 
         Raises:
-            ValueError: If the set-point is not allowed (see ``move``), or the shots are not from 1
+            ValueError: If the set-point is not allowed (see ``move``), or ``shots`` is not from 1
                 to ``MAX_SHOTS``; nothing moves.
-            RuntimeError: If the machine is busy or its interlock raised; nothing changes.
+            RuntimeError: If the machine is busy; nothing changes.
+            InterlockError: If the interlock is raised; nothing changes.
         """
         count = self._checked_shots(shots)
         return self._start(count, self.move(setpoint), on_shot)
@@ -233,14 +242,18 @@ class SimulatedMachine:
     def measure(
         self, shots: int | None = None, on_shot: Callable[[Shot], None] | None = None
     ) -> Evaluation:
-        """Average some shots where the machine stands; see ``start_evaluation``."""
+        """Start a measurement at the current position; see ``start_evaluation``."""
         count = self._checked_shots(shots)
         self._check_free()
         self._interlock.check()
         return self._start(count, 0.0, on_shot)
 
     def free_shot(self) -> Shot | None:
-        """Take a shot outside an evaluation, as the beam runs all the time; None without beam."""
+        """Take a shot between evaluations.
+
+        Returns:
+            The shot; None during a measurement, without beam, or if the interlock is raised.
+        """
         if self.measuring or self.tripped or self._interlock.raised:
             return None
         shot = self._beam.shot(self._time, self._actuators.strengths, self._look_rng)
@@ -248,11 +261,11 @@ class SimulatedMachine:
         return shot
 
     def clear_interlock(self) -> None:
-        """Allow the machine to move again."""
+        """Clear the interlock, so that the machine may move again."""
         self._interlock.clear()
 
     def step(self, dt: float) -> None:
-        """Let ``dt`` seconds of simulated time pass.
+        """Advance the simulated time by ``dt`` seconds.
 
         Raises:
             ValueError: If ``dt`` is negative or not finite.
@@ -266,7 +279,7 @@ class SimulatedMachine:
             self._pass(part)
 
     def stop(self) -> None:
-        """Stop at once: actuators hold where they are, a running evaluation ends as ``stopped``."""
+        """Stop at once: actuators hold their positions, a running evaluation ends as ``stopped``."""
         self._actuators.hold()
         evaluation = self._running
         if evaluation is not None:
@@ -274,15 +287,13 @@ class SimulatedMachine:
 
     @property
     def _running(self) -> Evaluation | None:
-        """The evaluation that is not finished yet, if there is one."""
+        """The running evaluation, or None."""
         evaluation = self._evaluation
         return None if evaluation is None or evaluation.phase.finished else evaluation
 
     def _check_free(self) -> None:
         if self.busy:
-            raise RuntimeError(
-                "the machine is busy: stop it, or let it finish, before it moves again"
-            )
+            raise RuntimeError("the machine is busy; wait for it, or stop it first")
 
     def _checked_shots(self, shots: int | None) -> int:
         count = self._behaviour.beam.shots if shots is None else shots
@@ -301,11 +312,11 @@ class SimulatedMachine:
 
     @property
     def _period(self) -> float:
-        """Time from shot to shot [s]."""
+        """Time between two shots [s]."""
         return 1.0 / self._behaviour.beam.repetition_rate
 
     def _pass(self, dt: float) -> None:
-        """Let ``dt`` seconds pass, within which nothing happens but at their end."""
+        """Advance by ``dt`` seconds with at most one event, at their end."""
         self._time += dt
         self._actuators.step(dt)
         without_beam = self.tripped
@@ -321,7 +332,7 @@ class SimulatedMachine:
             self._advance_phase(evaluation)
 
     def _advance_phase(self, evaluation: Evaluation) -> None:
-        """Bring the phase up to date with the actuators, the gun and the shots."""
+        """Update the phase from the state of the actuators, the gun and the shots."""
         if evaluation.phase is Phase.RAMP and not self._actuators.ramping:
             evaluation.phase = Phase.SETTLE
         if evaluation.phase is Phase.SETTLE and self.settled:
@@ -330,15 +341,15 @@ class SimulatedMachine:
         if evaluation.phase is not Phase.MEASURE:
             return
         if self.tripped:
-            self._time_to_shot = self._period  # from the moment when the beam is back
+            self._time_to_shot = self._period  # counts from the return of the beam
             if evaluation.without_beam >= self._behaviour.trip.patience:
-                self._fail(evaluation, Cause.TRIP, "the gun tripped, and there is no beam")
+                self._fail(evaluation, Cause.TRIP, "the gun tripped; there is no beam")
         elif self._time_to_shot <= _INSTANT:
             self._time_to_shot += self._period
             self._take_shot(evaluation)
 
     def _take_shot(self, evaluation: Evaluation) -> None:
-        """Take one shot of an evaluation, and see what comes of it."""
+        """Take one shot of an evaluation, and end the evaluation if it is complete or failed."""
         shot = self._beam.shot(self._time, self._actuators.strengths, self._shot_rng)
         if shot.status is ShotStatus.RETAKEN:
             evaluation.retaken += 1
@@ -357,13 +368,13 @@ class SimulatedMachine:
             self._fail(
                 evaluation,
                 Cause.CHARGE,
-                f"the charge of {evaluation.retaken} shots was off its target of "
+                f"the charge of {evaluation.retaken} shots differed from its target of "
                 f"{self._behaviour.beam.charge:g} nC by more than "
                 f"{100.0 * self._behaviour.beam.charge_window:g} %",
             )
 
     def _watch_losses(self, shot: Shot) -> None:
-        """Raise the interlock where losses last, and stop everything then."""
+        """Count losses; if they raise the interlock, stop the machine and the evaluation."""
         if shot.status in (ShotStatus.GOOD, ShotStatus.LOST):
             self._interlock.see(shot.status is ShotStatus.LOST)
         if not self._interlock.raised:
@@ -379,7 +390,7 @@ class SimulatedMachine:
     def _finish(
         self, evaluation: Evaluation, phase: Phase, failure: EvaluationFailure | None = None
     ) -> None:
-        """End the evaluation with what was measured so far."""
+        """End the evaluation with the shots taken so far."""
         self._time_to_shot = math.inf
         where = {} if evaluation.taken else self._actuators.readbacks(self._shot_rng)
         evaluation.finish(self.description, phase, failure, where)

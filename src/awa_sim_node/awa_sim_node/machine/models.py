@@ -1,4 +1,4 @@
-"""The physics behind the machine, chosen by name: ``awa`` or ``toy``."""
+"""The physics models of the machine, chosen by name: ``awa`` or ``toy``."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from awa_sim_node.surrogate import metadata
 
 
 class Model(ABC):
-    """What the beam does where it feels given inputs, and what kind of machine is around it.
+    """Physics of the beam for given inputs, and the properties of the machine around it.
 
     Attributes:
         description: Names, units and limits.
-        kinds: What each input is: every variable, and what else the beam depends on.
-        ranges: Where the model answers; the inputs that are not named have no bounds.
-        noise: The noise of each diagnostic in one shot on a good day.
-        images: Diagnostics that are lost together where an image cannot be evaluated.
-        gun: The variable that the rate of trips follows; empty where nothing trips.
-        modes: How the machine behaves in each mode.
+        kinds: Kind of each input: every variable, and all other inputs of the beam.
+        ranges: Valid range of each input; inputs that are not named have no bounds.
+        noise: Noise of each diagnostic in one shot on a good day.
+        images: Groups of diagnostics that are lost together if their image cannot be evaluated.
+        gun: Variable that determines the trip rate; empty if nothing trips.
+        modes: Behaviour of the machine in each mode.
     """
 
     description: ClassVar[MachineDescription]
@@ -40,16 +40,16 @@ class Model(ABC):
         """Return the true value of every diagnostic, in the description's order."""
 
     def spread(self, inputs: Mapping[str, float]) -> dict[str, float]:
-        """Return how uncertain the model itself is of each diagnostic; empty where it is exact."""
+        """Return the model's uncertainty of each diagnostic; empty if the model is exact."""
         del inputs
         return {}
 
 
 class AwaModel(Model):
-    """The AWA-like injector: the trained surrogate, with the noise of real instruments.
+    """The AWA-like injector: the trained surrogate with the noise of real instruments.
 
-    The noises are of the size that operators report. Charge and coupler kick are properties of the
-    machine here, not variables.
+    The noise levels are those that operators report. Charge and coupler kick are properties of the
+    machine, not variables.
     """
 
     description = MachineDescription(
@@ -105,7 +105,7 @@ class AwaModel(Model):
 
     def __init__(self) -> None:
         """Load the surrogate."""
-        # Imported here because it brings torch, which a mere description must not wait for.
+        # Imported here because it imports torch, which a description does not need.
         from awa_sim_node.surrogate import Surrogate
 
         self._surrogate = Surrogate.load()
@@ -116,7 +116,7 @@ class AwaModel(Model):
         return {**values, "charge": inputs.get("charge", metadata.DEFAULT_CHARGE)}
 
     def spread(self, inputs: Mapping[str, float]) -> dict[str, float]:
-        """Return how much the members of the surrogate's ensemble differ."""
+        """Return the standard deviation between the members of the surrogate's ensemble."""
         return self._surrogate.spread(inputs)
 
 
@@ -124,7 +124,7 @@ _TOY_LIMIT: Final = 2.0
 
 
 class ToyModel(Model):
-    """The paper's toy problem, [Roussel2021]_ Eq. (eqn:toy_problem).
+    """The paper's toy problem, Eq. (5) of Roussel et al. 2021 (label ``eqn:toy_problem``).
 
     f1 = ||x - 1|| and f2 = ||x + 1||, both to be minimised, over x1 and x2 in [-2, 2], and g = x1
     for the constrained case. Its actuators are instantaneous.
@@ -157,7 +157,7 @@ MODEL_NAMES: Final = tuple(_MODELS)
 
 
 def describe(name: str) -> MachineDescription:
-    """Return the description of the machine called ``name``, quickly: nothing is loaded.
+    """Return the description of the machine called ``name``, without loading its model.
 
     Raises:
         ValueError: If there is no such machine.
@@ -175,7 +175,7 @@ def create_model(name: str) -> Model:
 
 
 def behaviour_of(name: str, mode: Mode) -> Behaviour:
-    """Return how the machine called ``name`` behaves in ``mode``, quickly: nothing is loaded.
+    """Return the behaviour of the machine called ``name`` in ``mode``, without loading its model.
 
     Raises:
         ValueError: If there is no such machine.

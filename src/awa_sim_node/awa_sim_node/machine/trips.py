@@ -1,4 +1,4 @@
-"""Trips of the gun: a breakdown switches the field off, and it takes a while to bring it back."""
+"""Trips of the gun: a breakdown switches the field off, and it takes time to restore it."""
 
 from __future__ import annotations
 
@@ -16,26 +16,34 @@ _HOUR: Final = 3600.0  # [s]
 
 @dataclass(frozen=True)
 class TripParameters(ParameterGroup):
-    """How often the gun trips, and what an evaluation does then."""
+    """Parameters of the trips."""
 
-    rate: float = parameter("trips per hour below the threshold", 0.0, GREATEST_RATE)
+    rate: float = parameter("trip rate below the threshold [1/h]", 0.0, GREATEST_RATE)
     threshold: float = parameter(
         "gun gradient above which trips become more frequent [MV/m]", 0.0, 1e3
     )
     steepness: float = parameter(
-        "gun gradient that makes trips e times as frequent above the threshold [MV/m]", 0.01, 1e3
+        "increase of the gun gradient above the threshold that multiplies the trip rate by e "
+        "[MV/m]",
+        0.01,
+        1e3,
     )
     recovery_min: float = parameter("shortest time without beam after a trip [s]", 0.1, 1e5)
     recovery_max: float = parameter("longest time without beam after a trip [s]", 0.1, 1e5)
     patience: float = parameter(
-        "how long an evaluation waits for the beam in all; 0 = a trip ends it with an error [s]",
+        "total time that an evaluation waits for the beam; 0 = it fails at the first trip [s]",
         0.0,
         1e6,
         CHOSEN,
     )
 
     def __post_init__(self) -> None:
-        """Check the values; ValueError if one is out of its range or the recovery has no time."""
+        """Check the values.
+
+        Raises:
+            ValueError: If a value is out of its range, or ``recovery_min`` exceeds
+                ``recovery_max``.
+        """
         super().__post_init__()
         if self.recovery_min > self.recovery_max:
             raise ValueError(
@@ -44,8 +52,8 @@ class TripParameters(ParameterGroup):
             )
 
     def rate_at(self, gradient: float) -> float:
-        """Return the trips per hour at a gun gradient [MV/m]."""
-        # The exponent is cut where the greatest rate is reached from the least rate of interest.
+        """Return the trip rate [1/h] at a gun gradient [MV/m]."""
+        # The exponent is limited, so that it cannot overflow; the rate is limited below anyway.
         excess = min(max(0.0, gradient - self.threshold) / self.steepness, 50.0)
         return min(self.rate * math.exp(excess), GREATEST_RATE)
 
@@ -54,9 +62,9 @@ class Trips:
     """A Poisson process whose rate follows the gun gradient.
 
     It is simulated by thinning (Lewis and Shedler, Nav. Res. Logist. 26, 403 (1979)): candidates
-    come at the greatest rate of all, and one at gradient G is a trip with the probability of G's
-    rate over the greatest. That is exact however the gradient moves, and each candidate is an event
-    whose time is known beforehand.
+    occur at the highest possible rate, and a candidate at gradient G is a trip with probability
+    rate(G) / highest rate. That is exact for any motion of the gradient, and the time of each
+    candidate is known in advance.
     """
 
     def __init__(
@@ -65,9 +73,9 @@ class Trips:
         """Start with the field on.
 
         Args:
-            parameters: How often the gun trips.
-            greatest_gradient: That the gun can ever have [MV/m].
-            rng: Source of all chance.
+            parameters: Parameters of the trips.
+            greatest_gradient: Highest gradient that the gun can reach [MV/m].
+            rng: Random number generator.
         """
         self._parameters = parameters
         self._greatest = parameters.rate_at(greatest_gradient)
@@ -75,7 +83,7 @@ class Trips:
         self._recovery = 0.0
         self._to_candidate = self._draw_interval()
         self.count = 0
-        """Trips since the machine was switched on."""
+        """Number of trips since the machine was switched on."""
 
     @property
     def tripped(self) -> bool:
@@ -84,15 +92,15 @@ class Trips:
 
     @property
     def time_to_next_event(self) -> float:
-        """Time until the field is back, or until it may trip [s]."""
+        """Time until the field is restored, or until the next candidate for a trip [s]."""
         return self._recovery if self.tripped else self._to_candidate
 
     def step(self, dt: float, gradient: float) -> None:
-        """Let ``dt`` seconds pass, at most ``time_to_next_event``.
+        """Advance by ``dt`` seconds, at most ``time_to_next_event``.
 
         Args:
-            dt: Time that passes [s].
-            gradient: Of the gun at its end [MV/m].
+            dt: Time step [s].
+            gradient: Gradient of the gun at the end of the step [MV/m].
         """
         if self.tripped:
             self._recovery = max(0.0, self._recovery - dt)

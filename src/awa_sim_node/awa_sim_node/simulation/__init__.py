@@ -1,1 +1,1 @@
-"""A particle-in-cell simulation of an AWA-like injector; the simulated machine does not need it."""
+"""A particle-in-cell simulation of an AWA-like injector. The simulated machine does not need it."""

@@ -14,7 +14,11 @@ from awa_sim_node.simulation.table import make_table
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Track one beam, or make the table of simulations."""
+    """Track one beam, or compute the table of simulations.
+
+    Args:
+        arguments: Command line; by default that of the process.
+    """
     parser = argparse.ArgumentParser(
         prog="python -m awa_sim_node.simulation",
         description="Particle-in-cell simulation of an AWA-like injector.",
@@ -25,19 +29,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for field in fields(Settings):
         default = usual[field.name] if field.default is MISSING else field.default
         beam.add_argument(f"--{field.name}", type=float, default=default)
-    beam.add_argument("--seed", type=int, default=0, help="of the particles")
+    beam.add_argument("--seed", type=int, default=0, help="seed of the particles")
     beam.add_argument(
-        "--planes", type=float, nargs="+", default=[HALF_WAY, SCREEN], help="where to look [m]"
+        "--planes",
+        type=float,
+        nargs="+",
+        default=[HALF_WAY, SCREEN],
+        help="positions of the printed moments [m from the cathode]",
     )
-    table = commands.add_parser("table", help="make the surrogate's table, or go on with it")
-    table.add_argument("file", type=Path, help="the CSV file")
-    table.add_argument("--rows", type=int, default=ROWS, help="how many the table shall have")
-    table.add_argument("--workers", type=int, default=2, help="processes")
+    table = commands.add_parser("table", help="compute or complete the surrogate's training data")
+    table.add_argument("file", type=Path, help="CSV file")
+    table.add_argument("--rows", type=int, default=ROWS, help="number of rows in the table")
+    table.add_argument("--workers", type=int, default=2, help="number of processes")
     options = vars(parser.parse_args(arguments))
     try:
         if options.pop("command") == "table":
             if options["rows"] < 1:
-                raise ValueError(f"rows is {options['rows']}, and must be 1 or more")
+                raise ValueError(f"rows = {options['rows']} must be 1 or more")
             make_table(options["file"], range(options["rows"]), options["workers"])
         else:
             _show_beam(sorted(options.pop("planes")), options.pop("seed"), Settings(**options))

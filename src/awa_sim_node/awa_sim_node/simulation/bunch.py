@@ -1,4 +1,4 @@
-"""The bunch of macro-particles, as the laser makes it at the cathode."""
+"""The bunch of macro-particles that the laser frees from the cathode."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FLYING: Final = 1
 LOST: Final = 2
 
 _EDGE_SIGMAS: Final = 4.0
-_RISE_OVER_SIGMA: Final = 1.6869  # as OPAL defines the rise: of a Gaussian, from 10 % to 90 %
+_RISE_OVER_SIGMA: Final = 1.6869  # OPAL's definition of the rise: 10 % to 90 % of a Gaussian
 
 
 @dataclass(frozen=True)
@@ -28,10 +28,10 @@ class Laser:
     """A round uniform spot with a flat top in time.
 
     Attributes:
-        radius: Of the spot [m].
+        radius: Radius of the spot [m].
         duration: Full width at half maximum [s].
-        rise_time: Of the edges, as OPAL defines it [s].
-        transverse_energy: Mean transverse energy of the electrons it frees [eV].
+        rise_time: Rise time of the edges, by OPAL's definition [s].
+        transverse_energy: Mean transverse energy of the emitted electrons [eV].
     """
 
     radius: float = 9e-3
@@ -41,16 +41,16 @@ class Laser:
 
     @property
     def tail(self) -> float:
-        """From the first electron to the half height of the leading edge [s]."""
+        """Time from the first electron to the half height of the leading edge [s]."""
         return _EDGE_SIGMAS * self.rise_time / _RISE_OVER_SIGMA
 
     @property
     def centre(self) -> float:
-        """Of the pulse, counted from its first electron [s]."""
+        """Time from the first electron to the centre of the pulse [s]."""
         return 0.5 * self.duration + self.tail
 
     def emission_times(self, quantiles: FloatArray) -> FloatArray:
-        """Return when the given fractions of the charge have been emitted [s]."""
+        """Return the times at which the given fractions of the charge have been emitted [s]."""
         sigma = self.rise_time / _RISE_OVER_SIGMA * math.sqrt(2.0)
         half = 0.5 * self.duration
         times = np.linspace(-self.centre, self.centre, 4001)
@@ -65,11 +65,11 @@ class Bunch:
     """Macro-particles of equal charge.
 
     Attributes:
-        phase_space: x, y, z [m] and p_x, p_y, p_z [mc], ``(n, 6)``; before its emission a particle
-            waits at the cathode.
-        emission: When each is emitted [s], ``(n,)``.
-        state: ``WAITING``, ``FLYING`` or ``LOST``, ``(n,)``.
-        particle_charge: Charge of one [C].
+        phase_space: Positions x, y, z [m] and momenta p_x, p_y, p_z [mc], ``(n, 6)``; before its
+            emission a particle is at the cathode.
+        emission: Emission time of each particle [s], ``(n,)``.
+        state: State of each particle, ``WAITING``, ``FLYING`` or ``LOST``, ``(n,)``.
+        particle_charge: Charge of one particle [C].
     """
 
     phase_space: FloatArray
@@ -79,7 +79,7 @@ class Bunch:
 
     @property
     def flying(self) -> FloatArray:
-        """Phase space of the particles on their way."""
+        """Phase space of the flying particles."""
         flying: FloatArray = self.phase_space[self.state == FLYING]
         return flying
 
@@ -87,22 +87,22 @@ class Bunch:
 def emit(laser: Laser, charge: float, particles: int, seed: int) -> Bunch:
     """Sample a bunch of electrons from scrambled quasi-random numbers.
 
-    Each has a twin turned by 90 degrees about the axis, so that the bunch is as wide as high.
+    Each has a twin rotated by 90 degrees about the axis, so that the bunch is as wide as high.
 
     Args:
-        laser: What frees them.
+        laser: Laser pulse that frees the electrons.
         charge: Magnitude of the bunch's charge [C].
-        particles: Their number.
+        particles: Number of macro-particles.
         seed: Seed of the scrambling.
 
     Raises:
         ValueError: If the seed is negative.
     """
     if seed < 0:
-        raise ValueError(f"seed is {seed}, and must be 0 or more")
+        raise ValueError(f"seed = {seed} must be 0 or more")
     pairs = -(-particles // 2)
     sequence = qmc.Sobol(6, scramble=True, rng=seed)
-    # Sobol points come in powers of two; the first of them fill the space as well.
+    # Sobol points come in powers of two; any first part of them also fills the space.
     u = sequence.random_base2(max(pairs - 1, 1).bit_length())[:pairs]
     u = np.clip(u, 1e-9, 1.0 - 1e-9)
     r, angle = laser.radius * np.sqrt(u[:, 0]), 2.0 * np.pi * u[:, 1]
@@ -111,7 +111,7 @@ def emit(laser: Laser, charge: float, particles: int, seed: int) -> Bunch:
     one, twin = phase_space[:, 0], phase_space[:, 1]
     one[:, 0], one[:, 1] = r * np.cos(angle), r * np.sin(angle)
     one[:, 3], one[:, 4] = thermal * ndtri(u[:, 3]), thermal * ndtri(u[:, 4])
-    # The flux through a surface goes with the velocity across it.
+    # The flux through a surface is proportional to the velocity across it.
     one[:, 5] = thermal * np.sqrt(-2.0 * np.log(u[:, 5]))
     twin[:, [0, 3, 5]] = one[:, [1, 4, 5]] * [-1.0, -1.0, 1.0]
     twin[:, [1, 4]] = one[:, [0, 3]]

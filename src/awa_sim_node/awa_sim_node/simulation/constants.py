@@ -1,11 +1,14 @@
-"""Constants of nature, and the version of the simulation."""
+"""Physical constants, and the version of the simulation."""
 
 from __future__ import annotations
 
 from typing import Final
 
 VERSION: Final = "1"
-"""Changes whenever the same settings would give another beam; every row of data carries it."""
+"""Version of the simulation, part of every row of data.
+
+It changes whenever the same settings would give a different beam.
+"""
 
 SPEED_OF_LIGHT: Final = 299_792_458.0  # m/s
 ELEMENTARY_CHARGE: Final = 1.602176634e-19  # C

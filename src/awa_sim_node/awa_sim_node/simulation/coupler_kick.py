@@ -8,17 +8,21 @@ from typing import Final
 from numba import njit
 
 CENTRE: Final = 0.81
-"""Of the kick [m from the cathode]."""
+"""Centre of the kick [m from the cathode]."""
 
 HALF_LENGTH: Final = 0.1
-"""Where the kick ends on either side of the centre [m]; its profile is a squared cosine."""
+"""Distance of either end of the kick from its centre [m]; the profile is a squared cosine."""
 
 
 @njit(cache=True)
 def gradient(z: float, strength: float) -> float:
-    """Return the gradient dB_y/dx [T/m] at z [m] of a kick integrated to ``strength`` [T].
+    """Return the gradient dB_y/dx [T/m] of the kick.
 
-    It rises and falls smoothly, so that no step of a particle is half inside.
+    The profile is smooth, so that particle steps across its ends stay accurate.
+
+    Args:
+        z: Position [m from the cathode].
+        strength: Integral of the gradient over z [T].
     """
     distance = abs(z - CENTRE)
     if distance >= HALF_LENGTH:

@@ -1,8 +1,8 @@
-"""Axisymmetric field maps made from a few Fourier components of the field on axis.
+"""Axisymmetric field maps from a few Fourier components of the field on axis.
 
-Off axis a component cos(k z) of E_z goes with I0(kappa r), kappa^2 = k^2 - (omega/c)^2 (J0 where
-that is negative), and E_r and B_phi follow from Maxwell's equations; so every map is consistent
-with them at any radius. A static field is the case omega = 0.
+Off axis a component cos(k z) of E_z is multiplied by I0(kappa r), kappa^2 = k^2 - (omega/c)^2 (by J0
+if that is negative), and E_r and B_phi follow from Maxwell's equations; so every map satisfies
+them at any radius. A static field is the case omega = 0.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class FieldMap(NamedTuple):
     """A field on a grid in r and z, for compiled code.
 
     Attributes:
-        values: The components, ``(radii, positions, components)``.
+        values: Field components, ``(radii, positions, components)``.
         start: Position of the first column [m from the cathode].
         dr: Step in radius [m].
         dz: Step along the axis [m].
@@ -47,7 +47,7 @@ class FieldMap(NamedTuple):
         return float(self.start + self.dz * (self.values.shape[1] - 1))
 
     def scaled(self, factor: float) -> FieldMap:
-        """Return the map times a factor."""
+        """Return the map multiplied by a factor."""
         return self._replace(values=self.values * factor)
 
 
@@ -58,7 +58,13 @@ def coefficients() -> dict[str, FloatArray]:
 
 
 def bessel(k: FloatArray, omega: float, r: float) -> tuple[FloatArray, FloatArray]:
-    """Return I0(kappa r) and I1(kappa r)/kappa for the wave numbers k, kappa^2 = k^2 - (omega/c)^2."""
+    """Return I0(kappa r) and I1(kappa r)/kappa with kappa^2 = k^2 - (omega/c)^2.
+
+    Args:
+        k: Wave numbers [1/m].
+        omega: Angular frequency [1/s].
+        r: Radius [m].
+    """
     square = k**2 - (omega / SPEED_OF_LIGHT) ** 2
     kappa = np.sqrt(np.abs(square))
     evanescent = square > 0.0
@@ -74,15 +80,15 @@ def rf_map(
 ) -> FieldMap:
     """Return the map (E_z, E_r, B_phi) of a standing wave.
 
-    E_z = sum (cosine cos k z + sine sin k z) on axis, times cos(omega t); B_phi is that of which
-    sin(omega t) is the factor, with the sign of -dE_z/dt.
+    On axis E_z = sum (cosine cos k z + sine sin k z), to be multiplied by cos(omega t). B_phi is to
+    be multiplied by sin(omega t), with the sign of -dE_z/dt.
 
     Args:
         k: Wave numbers [1/m], ``(n,)``.
         cosine: Coefficients of the cosines, ``(n,)``.
         sine: Coefficients of the sines, ``(n,)``.
         omega: Angular frequency [1/s].
-        shape: A map whose grid to use; z counts from its start.
+        shape: Map that defines the grid; z counts from its start.
     """
     radii, positions, _ = shape.values.shape
     z = shape.dz * np.arange(positions)
@@ -98,6 +104,14 @@ def rf_map(
 
 
 def empty_map(radius: float, radii: int, start: float, length: float, positions: int) -> FieldMap:
-    """Return a map of zeros with three components on a grid from the axis to ``radius``."""
+    """Return a map of zeros with three components.
+
+    Args:
+        radius: Largest radius of the grid [m].
+        radii: Number of radii, including the axis.
+        start: First position [m from the cathode].
+        length: Length of the grid [m].
+        positions: Number of positions along the axis.
+    """
     values = np.zeros((radii, positions, 3))
     return FieldMap(values, start, radius / (radii - 1), length / (positions - 1))

@@ -1,7 +1,8 @@
 """The integrated Green function of free space: the potential of a uniformly charged cell.
 
-It depends on the size of the cell by a factor only. So its Fourier transform is kept for each
-shape of cells that occurs, and the mesh (``space_charge.py``) takes its shapes from a lattice.
+Except for a factor, it depends only on the shape of the cell and not on its size. So its Fourier
+transform is cached for each shape of cells, and the mesh (``space_charge.py``) only uses shapes
+from a lattice.
 
 See J. Qiang et al., Phys. Rev. ST Accel. Beams 9, 044204 (2006).
 """
@@ -18,12 +19,15 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 NEAR_CELLS = 6.0
-"""Cells nearer than so many times their longest side are integrated exactly, others expanded."""
+"""Distance, in units of a cell's longest side, up to which cells are integrated exactly.
+
+Beyond it, they are expanded in multipoles.
+"""
 
 
 @njit(cache=True)
 def _primitive(x: float, y: float, z: float) -> float:
-    """Return the threefold primitive of 1/r."""
+    """Return the primitive of 1/r in all three coordinates."""
     r = math.sqrt(x * x + y * y + z * z)
     return (
         -0.5 * z * z * math.atan(x * y / (z * r))
@@ -49,7 +53,7 @@ def _exact(x: float, y: float, z: float, a: float, b: float, c: float) -> float:
 
 @njit(cache=True)
 def _expanded(x: float, y: float, z: float, a: float, b: float, c: float) -> float:
-    """Return the same far away: monopole and quadrupole of the cell."""
+    """Return the far-field approximation of ``_exact``: monopole and quadrupole of the cell."""
     s = 1.0 / (x * x + y * y + z * z)
     second = a * a * (3.0 * x * x * s - 1.0)
     second += b * b * (3.0 * y * y * s - 1.0) + c * c * (3.0 * z * z * s - 1.0)
@@ -62,8 +66,8 @@ def green_octant(
 ) -> FloatArray:
     """Return the mean of 1/r over cells (i, j, k) with the sides a, b, c.
 
-    i = 0 .. nx, j = 0 .. ny, k = start .. stop - 1; ``(nx + 1, ny + 1, stop - start)``. Each cell
-    is counted from the origin, which is the middle of cell (0, 0, 0).
+    i = 0 .. nx, j = 0 .. ny, k = start .. stop - 1; ``(nx + 1, ny + 1, stop - start)``. The origin
+    is the centre of cell (0, 0, 0).
     """
     values = np.empty((nx + 1, ny + 1, stop - start))
     limit = (NEAR_CELLS * max(a, max(b, c))) ** 2
@@ -83,16 +87,16 @@ def green_octant(
 def own_transform(shape: tuple[int, int, int], a: float, b: float, c: float) -> FloatArray:
     """Return the transform of the Green function on twice the mesh.
 
-    It is real and even, so that an eighth suffices.
+    It is real and even, so that one octant is enough.
 
     Args:
-        shape: Nodes of the mesh, ``(nx, ny, nz)``.
+        shape: Number of nodes of the mesh, ``(nx, ny, nz)``.
         a: Side of a cell in x.
         b: Side of a cell in y.
         c: Side of a cell in z.
 
     Returns:
-        ``(nx + 1, ny + 1, nz + 1)``.
+        One octant of the transform, ``(nx + 1, ny + 1, nz + 1)``.
     """
     nx, ny, nz = shape
     values: FloatArray = scipy.fft.dctn(green_octant(nx, ny, 0, nz + 1, a, b, c), type=1)
@@ -104,10 +108,17 @@ def image_transform(
 ) -> NDArray[np.complex128]:
     """Return the transform of the Green function between the mesh and its mirror image.
 
-    Node k lies ``offset + k + k'`` cells from the image of node k'.
+    Node k is ``offset + k + k'`` cells from the image of node k'.
+
+    Args:
+        shape: Number of nodes of the mesh, ``(nx, ny, nz)``.
+        offset: Distance of the first node from its image, in cells.
+        a: Side of a cell in x.
+        b: Side of a cell in y.
+        c: Side of a cell in z.
 
     Returns:
-        ``(nx + 1, ny + 1, nz + 1)``; even in x and y.
+        The transform, ``(nx + 1, ny + 1, nz + 1)``; it is even in x and y.
     """
     nx, ny, nz = shape
     octant = green_octant(nx, ny, offset, offset + 2 * nz, a, b, c)

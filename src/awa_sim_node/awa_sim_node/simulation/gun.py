@@ -9,17 +9,17 @@ import numpy as np
 from awa_sim_node.simulation.field_map import FieldMap, coefficients, empty_map, rf_map
 
 FREQUENCY: Final = 1.3e9
-"""Of gun and linac [Hz]."""
+"""Frequency of gun and linac [Hz]."""
 
 ANGULAR_FREQUENCY: Final = 2.0 * np.pi * FREQUENCY
 
-_RADIUS: Final = 0.025  # that of the iris; beyond it, particles are lost
+_RADIUS: Final = 0.025  # radius of the iris [m]; beyond it, particles are lost
 
 
 def gun_map() -> FieldMap:
     """Return the field (E_z, E_r, B_phi) per unit of the peak field on axis.
 
-    E_z on axis is a cosine series over the length of the map, so that the cathode is a conductor.
+    E_z on axis is a cosine series over the length of the map, which makes the cathode a conductor.
     """
     data = coefficients()
     length = float(data["gun_length"])

@@ -1,4 +1,4 @@
-"""The whole injector: from the laser on the cathode to the screen."""
+"""The whole injector, from the laser on the cathode to the screen."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from awa_sim_node.simulation.solenoid import solenoid_maps, superpose
 from awa_sim_node.simulation.space_charge import BunchField, SpaceCharge
 
 SCREEN: Final = 3.1
-"""The first screen [m from the cathode]."""
+"""Position of the first screen [m from the cathode]."""
 
 HALF_WAY: Final = 1.95
-"""Behind the linac [m from the cathode]."""
+"""Position behind the linac [m from the cathode]."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Where the machine stands; names and units are those of the surrogate's inputs.
+    """Settings of the machine; names and units are those of the surrogate's inputs.
 
     Attributes:
         K1: Current of the bucking and focusing solenoid [A].
@@ -44,7 +44,7 @@ class Settings:
         coupler_kick: Integrated quadrupole gradient of the linac's coupler [mT].
 
     Raises:
-        ValueError: If one is not finite, or a charge or gradient is negative.
+        ValueError: If a value is not finite, a charge or gradient is negative, or G1 is 0.
     """
 
     K1: float
@@ -57,34 +57,34 @@ class Settings:
     coupler_kick: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what no machine can be set to."""
+        """Check the values."""
         for name, value in asdict(self).items():
             if not math.isfinite(value):
-                raise ValueError(f"{name} is {value:g}, and must be a finite number")
+                raise ValueError(f"{name} = {value:g} must be a finite number")
         for name in ("G2", "charge"):
             if getattr(self, name) < 0.0:
-                raise ValueError(f"{name} is {getattr(self, name):g}, and must be 0 or more")
+                raise ValueError(f"{name} = {getattr(self, name):g} must be 0 or more")
         if self.G1 <= 0.0:
-            raise ValueError(f"G1 is {self.G1:g}, and must be more than 0")
+            raise ValueError(f"G1 = {self.G1:g} must be more than 0")
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """How finely to compute.
+    """Resolution of the simulation.
 
     Attributes:
-        mesh: Nodes of the space charge's mesh, ``(nx, ny, nz)``.
-        particles: Macro-particles.
-        emission_steps: Steps while the laser shines.
-        growth: A step is at most this share of the time since the laser.
-        longest_step: In the fields of the machine [s].
-        refresh: Time between two solutions for the field of the bunch, as a share of the time
-            since the laser; never less than a step.
-        longest_refresh: Its upper bound [s].
-        image_until: The image in the cathode counts until the bunch is there [m].
+        mesh: Number of nodes of the space-charge mesh, ``(nx, ny, nz)``.
+        particles: Number of macro-particles.
+        emission_steps: Number of steps during the laser pulse.
+        growth: Longest step as a fraction of the time since the laser pulse started.
+        longest_step: Longest step in any case [s].
+        refresh: Time between two solutions for the field of the bunch, as a fraction of the time
+            since the laser pulse started; at least one step.
+        longest_refresh: Longest time between two solutions [s].
+        image_until: Position of the bunch up to which the image in the cathode is included [m].
 
     Raises:
-        ValueError: If there are too few nodes or particles to make a field.
+        ValueError: If there are too few nodes or particles to compute a field.
     """
 
     mesh: tuple[int, int, int] = (24, 24, 48)
@@ -97,28 +97,38 @@ class Resolution:
     image_until: float = 0.02
 
     def __post_init__(self) -> None:
-        """Refuse what is too coarse to compute with."""
+        """Check the values."""
         if min(self.mesh) < _FEWEST_NODES:
-            raise ValueError(f"mesh is {self.mesh}, and must be {_FEWEST_NODES} or more each way")
+            raise ValueError(
+                f"mesh = {self.mesh} must have {_FEWEST_NODES} or more nodes in each direction"
+            )
         if self.particles <= _FEWEST:
-            raise ValueError(f"particles is {self.particles}, and must be more than {_FEWEST}")
+            raise ValueError(f"particles = {self.particles} must be more than {_FEWEST}")
 
 
 _FEWEST_NODES: Final = 5
-"""One cell is left on each side of the bunch, and half a one for its shift."""
+"""Lowest number of nodes in each direction.
+
+One cell is free on each side of the bunch, and half a cell is lost to the alignment with the cathode.
+"""
 
 _FEWEST: Final = 20
-"""Particles that make a field worth computing."""
+"""Number of particles that must have been emitted before a field is computed."""
 
 Observer = Callable[[float, float, Bunch], None]
-"""Called after each solution with the time [s], the mean position [m] and the bunch."""
+"""Callable that receives the time [s], the mean position [m] and the bunch after each solution."""
 
 
 class Injector:
-    """The machine at one set of settings."""
+    """The injector with given settings."""
 
     def __init__(self, settings: Settings, laser: Laser | None = None) -> None:
-        """Scale the fields, and find the crest of gun and linac."""
+        """Scale the fields, and find the crest phases of gun and linac.
+
+        Args:
+            settings: Settings of the machine.
+            laser: Laser pulse; by default that of the data set.
+        """
         self.settings = settings
         self.laser = laser or Laser()
         gun, focusing, matching, linac = _maps()
@@ -138,20 +148,21 @@ class Injector:
         observer: Observer | None = None,
         solver: SpaceCharge | None = None,
     ) -> list[Moments]:
-        """Track a bunch, and return its moments when its mean is at each of the planes.
+        """Track a bunch, and return its moments at the time its mean reaches each plane.
 
         Args:
-            planes: Rising positions [m from the cathode].
-            resolution: How finely; by default that of the data set.
+            planes: Positions in increasing order [m from the cathode].
+            resolution: Resolution; by default that of the data set.
             seed: Seed of the bunch.
-            observer: Called on the way.
-            solver: One of the same mesh to use again.
+            observer: Callable that receives the bunch after each solution for its field.
+            solver: Solver with the same mesh to reuse.
 
         Returns:
-            The moments at each plane; NaN with a transmission of 0 where the whole bunch was lost.
+            The moments at each plane; NaN with a transmission of 0 if the whole bunch was lost.
 
         Raises:
-            ValueError: If the planes do not rise, or one is reached while the laser still shines.
+            ValueError: If the planes are not in increasing order, or the bunch reaches one during
+                the laser pulse.
         """
         _check_planes(planes)
         resolution = resolution or Resolution()
@@ -178,8 +189,8 @@ class Injector:
             arrived = time > pulse and arrival <= dt
             if arrived and arrival < 0.0:
                 raise ValueError(
-                    f"the plane at {planes[len(passed)]:g} m is too near the cathode: "
-                    f"the bunch has just left the laser, and is at {position:.3g} m"
+                    f"the plane at {planes[len(passed)]:g} m is too near the cathode: at the end "
+                    f"of the laser pulse the bunch is already at {position:.3g} m"
                 )
             dt = arrival if arrived else dt
             middle = time + 0.5 * dt
@@ -203,29 +214,35 @@ class Injector:
 
 
 def _check_planes(planes: Sequence[float]) -> None:
-    """Refuse positions that the bunch cannot pass one after the other."""
+    """Check that the planes are finite and in increasing order."""
     for first, second in pairwise([0.0, *planes]):
         if not first < second < math.inf:
             raise ValueError(
-                f"planes are {', '.join(f'{plane:g}' for plane in planes)} m, and must be finite "
-                "and rise from the cathode at 0 m"
+                f"planes = {', '.join(f'{plane:g}' for plane in planes)} m must be finite, more "
+                "than 0, and in increasing order"
             )
 
 
 def _steps(resolution: Resolution, time: float, pulse: float) -> tuple[float, float]:
-    """Return the length of a step, and that of the interval the bunch's field is kept for."""
+    """Return the length of a step, and the time for which the bunch's field is reused [s]."""
     if time < (1.0 - 1e-9) * pulse:
         dt = pulse / resolution.emission_steps
         return dt, dt
     dt = max(pulse / resolution.emission_steps, resolution.growth * time)
     dt = min(dt, resolution.longest_step)
     refresh = max(dt, min(resolution.refresh * time, resolution.longest_refresh))
-    # A whole number of steps, so that the field's middle is that of the interval.
+    # An integer number of steps, so that the field is computed for the middle of the interval.
     return dt, dt * round(refresh / dt)
 
 
 def _advance(momentum: float, force: float, interval: float) -> float:
-    """Return how far a particle goes [m] at a constant force [mc/s]."""
+    """Return the distance that a particle moves under a constant force [m].
+
+    Args:
+        momentum: Initial momentum [mc].
+        force: Force [mc/s].
+        interval: Time [s].
+    """
     later = momentum + force * interval
     mean = (momentum + later) / (math.sqrt(1.0 + momentum**2) + math.sqrt(1.0 + later**2))
     return SPEED_OF_LIGHT * mean * interval

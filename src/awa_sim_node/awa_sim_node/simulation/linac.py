@@ -1,8 +1,8 @@
 """The first linac cavity: seven cells in pi mode at the gun's frequency.
 
-The real cavity's map is not public. This one is synthetic: cells of half a wavelength with the
-field falling off smoothly at both ends, made consistent with Maxwell's equations off axis. An
-electron at the speed of light gains 0.404 MeV on crest for each MV/m.
+The map of the real cavity is not public. This one is synthetic: cells of half a wavelength with a
+field that falls off smoothly at both ends, extended off axis by Maxwell's equations. An electron at
+the speed of light gains 0.404 MeV on crest per MV/m.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from awa_sim_node.simulation.field_map import FieldMap, FloatArray, empty_map, r
 from awa_sim_node.simulation.gun import ANGULAR_FREQUENCY, FREQUENCY
 
 START: Final = 0.6714
-"""Where the map of the cavity starts [m from the cathode]."""
+"""Start of the cavity's map [m from the cathode]."""
 
-LENGTH: Final = 1.20713  # of the map [m]
+LENGTH: Final = 1.20713  # length of the map [m]
 CELLS: Final = 7
 
 _CELL: Final = 0.5 * SPEED_OF_LIGHT / FREQUENCY
@@ -29,7 +29,7 @@ _SAMPLES: Final = 4096
 
 
 def on_axis(z: FloatArray) -> FloatArray:
-    """Return E_z on axis, in units of its peak, at z [m] from the start of the map."""
+    """Return E_z on axis, relative to its peak, at z [m from the start of the map]."""
     s = z - 0.5 * LENGTH
     half = 0.5 * CELLS * _CELL
     envelope = 0.5 * (np.tanh((s + half) / _EDGE) - np.tanh((s - half) / _EDGE))
@@ -46,7 +46,7 @@ def linac_map() -> FieldMap:
     spectrum = np.fft.rfft(field) / _SAMPLES
     k = 2.0 * np.pi * np.arange(len(spectrum), dtype=np.float64) / period
     kept = k < _HIGHEST_WAVE_NUMBER
-    # From the phase at the first sample to that at the start of the map.
+    # Shift the phases from the first sample to the start of the map.
     amplitude = spectrum[kept] * np.exp(-1j * k[kept] * z[0]) * np.where(k[kept] > 0.0, 2.0, 1.0)
     grid = empty_map(_RADIUS, 21, START, LENGTH, 601)
     return rf_map(k[kept], amplitude.real, -amplitude.imag, ANGULAR_FREQUENCY, grid)

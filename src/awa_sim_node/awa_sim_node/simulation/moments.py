@@ -1,4 +1,4 @@
-"""What diagnostics would see of a bunch: sizes, emittances, energy."""
+"""Moments of a bunch: sizes, emittances and energy, as diagnostics would measure them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Moments:
-    """Moments of the particles on their way; the fields are the surrogate's outputs.
+    """Moments of the flying particles; the fields are the surrogate's outputs.
 
     Attributes:
         sigma_x: Rms width [mm].
@@ -27,7 +27,7 @@ class Moments:
         eps_z: Normalised rms emittance, longitudinal, of z and p_z/mc [mm mrad].
         dE: Rms energy spread [MeV].
         energy: Mean kinetic energy [MeV].
-        transmission: Share of all particles.
+        transmission: Flying particles as a fraction of all particles.
     """
 
     sigma_x: float
@@ -42,7 +42,10 @@ class Moments:
 
 
 def moments(bunch: Bunch) -> Moments:
-    """Return the moments of a bunch; NaN but for the transmission where fewer than 2 are left."""
+    """Return the moments of a bunch.
+
+    With fewer than 2 flying particles, all moments except the transmission are NaN.
+    """
     particles = bunch.flying
     share = len(particles) / len(bunch.state)
     if len(particles) < 2:

@@ -1,7 +1,7 @@
-"""Finding the crest: the phase at which a particle on axis gains most energy.
+"""Crest phases: the phases at which a particle on axis gains most energy.
 
-Phases of the machine count from there. One particle in the middle of the pulse is tracked along
-the axis without space charge.
+The machine's phases are relative to the crest. It is found by tracking one particle in the middle
+of the pulse along the axis, without space charge.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def _final_momentum(
     end: float,
     dt: float,
 ) -> float:
-    """Return p_z [mc] at ``end``, or -1 where the particle turns round."""
+    """Return p_z [mc] at ``end``, or -1 if the particle turns back."""
     z, p, t = 0.0, 0.0, 0.0
     kick = -CHARGE_OVER_MASS / SPEED_OF_LIGHT * dt
     while z < end:
@@ -59,7 +59,7 @@ def _final_momentum(
 
 
 def gun_crest(gun: FieldMap) -> float:
-    """Return the phase of most energy behind the gun [deg], for a map in V/m."""
+    """Return the phase of highest energy behind the gun [deg], for a map in V/m."""
     field = np.ascontiguousarray(gun.values[0, :, 0])
     none = np.zeros(2)
 
@@ -71,12 +71,12 @@ def gun_crest(gun: FieldMap) -> float:
 
 
 def linac_crest(gun: FieldMap, gun_phase: float, linac: FieldMap) -> float:
-    """Return the phase of most energy behind the linac [deg], for maps in V/m.
+    """Return the phase of highest energy behind the linac [deg], for maps in V/m.
 
     Args:
-        gun: The gun's map.
-        gun_phase: The gun's phase [deg].
-        linac: The linac's map.
+        gun: Map of the gun.
+        gun_phase: Phase of the gun [deg].
+        linac: Map of the linac.
     """
     gun_field = np.ascontiguousarray(gun.values[0, :, 0])
     linac_field = np.ascontiguousarray(linac.values[0, :, 0])
@@ -100,7 +100,7 @@ def linac_crest(gun: FieldMap, gun_phase: float, linac: FieldMap) -> float:
 
 
 def _highest(function: Callable[[float], float], grid: FloatArray) -> float:
-    """Return where the function is greatest, near the best point of the grid."""
+    """Return the position of the function's maximum near the best point of the grid."""
     best = grid[int(np.argmax([function(float(x)) for x in grid]))]
     step = grid[1] - grid[0]
     found = minimize_scalar(

@@ -1,4 +1,4 @@
-"""Moving the particles: Boris' method, half a drift, the kick at the middle, half a drift."""
+"""Motion of the particles by Boris' method: half a drift, a kick, half a drift."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ GUN_APERTURE: Final = 0.025
 """Radius of the iris up to ``GUN_END`` [m]."""
 
 GUN_END: Final = 0.575
-"""Where the aperture widens [m from the cathode]."""
+"""Position where the aperture widens [m from the cathode]."""
 
 PIPE_APERTURE: Final = 0.05
-"""Radius beyond [m]."""
+"""Radius of the aperture beyond ``GUN_END`` [m]."""
 
 
 class Beamline(NamedTuple):
     """All external fields, for compiled code.
 
     Attributes:
-        gun: (E_z, E_r, B_phi) at crest [V/m, T].
-        solenoids: (B_z, B_r) [T].
-        linac: (E_z, E_r, B_phi) at crest [V/m, T].
-        coupler_kick: Integrated quadrupole gradient [T].
+        gun: Map of (E_z, E_r, B_phi) of the gun at crest [V/m, T].
+        solenoids: Map of (B_z, B_r) of all solenoids [T].
+        linac: Map of (E_z, E_r, B_phi) of the linac at crest [V/m, T].
+        coupler_kick: Integrated quadrupole gradient of the linac's coupler [T].
     """
 
     gun: FieldMap
@@ -56,24 +56,24 @@ def push(
 ) -> tuple[int, float, float, float]:
     """Move all particles by one step.
 
-    A particle emitted within the step makes the rest of it only. Those that return to the cathode
-    or leave the aperture are lost.
+    A particle emitted during the step only moves for the rest of it. Particles that return to the
+    cathode or leave the aperture are lost.
 
     Args:
-        phase_space: Positions [m] and momenta [mc], ``(n, 6)``; changed.
-        state: What each does, ``(n,)``; changed.
-        emission: Times of emission [s], ``(n,)``.
-        time: Of the start of the step [s].
-        dt: Its length [s].
-        beamline: The external fields.
+        phase_space: Positions [m] and momenta [mc], ``(n, 6)``; modified in place.
+        state: State of each particle, ``(n,)``; modified in place.
+        emission: Emission times [s], ``(n,)``.
+        time: Start of the step [s].
+        dt: Length of the step [s].
+        beamline: External fields.
         gun_angle: Phase of the gun at the middle of the step [rad].
-        linac_angle: That of the linac [rad].
+        linac_angle: Phase of the linac at the middle of the step [rad].
         space_charge: Whether to add ``own``.
         own: Field of the bunch at the middle of the step.
 
     Returns:
-        Number of particles on their way, their mean position [m], mean axial momentum [mc]
-        and the mean axial force [mc/s].
+        The number of flying particles, their mean position [m], mean axial momentum [mc] and mean
+        axial force [mc/s].
     """
     c = SPEED_OF_LIGHT
     gun, solenoids, linac = beamline.gun, beamline.solenoids, beamline.linac
@@ -100,7 +100,7 @@ def push(
         z = max(phase_space[p, 2] + half * uz, 0.0)
         r = math.sqrt(x * x + y * y)
 
-        # Electrons: the fields of the maps accelerate at crest, so E is their negative.
+        # The maps accelerate at crest; the charge is negative, so E has the opposite sign.
         e_z, e_r, b_phi, b_z, b_r = 0.0, 0.0, 0.0, 0.0, 0.0
         v = (z - gun.start) / gun.dz
         if v < gun_columns:

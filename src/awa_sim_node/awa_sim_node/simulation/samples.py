@@ -1,4 +1,4 @@
-"""The points of the data set: row i is always the same, whoever computes it and when."""
+"""The points of the data set: a fixed series, in which point i is always the same."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from awa_sim_node.simulation.injector import Settings
 from awa_sim_node.surrogate.metadata import INPUTS
 
 ROWS: Final = 2500
-"""Rows of the data set."""
+"""Number of rows of the data set."""
 
 CORNER: Final = {"K2": (250.0, 285.0), "G1": (59.25, 66.0)}
-"""The hard corner: a strong lens on a slow beam, which is focused over."""
+"""The hard corner: a strong lens on a slow beam, which is over-focused."""
 
 _DIGITS: Final = 6  # significant digits of the settings, so that a table holds them exactly
 _LARGEST: Final = 2**13
-_SPACE, _IN_TEN = 7, 10  # of ten rows, seven fill the space
+_SPACE, _IN_TEN = 7, 10  # seven of ten rows fill the whole box
 _COUNT: Final = _IN_TEN * (_LARGEST // _SPACE) + _LARGEST % _SPACE
 
 
 @dataclass(frozen=True)
 class Sample:
-    """One point.
+    """One point of the data set.
 
     Attributes:
-        number: Its number in the series.
-        region: ``space`` for the whole box, ``corner`` for the hard corner.
-        settings: Where the machine stands.
+        number: Number in the series.
+        region: Purpose of the point: ``space`` for the whole box, ``corner`` for the hard corner.
+        settings: Settings of the machine.
     """
 
     number: int
@@ -41,13 +41,18 @@ class Sample:
 
 
 def sample(number: int) -> Sample:
-    """Return a point: 70 % fill the whole box, 30 % the hard corner, each a Sobol sequence.
+    """Return a point of the series.
+
+    70 % of the points fill the whole box and 30 % the hard corner, each by a Sobol sequence.
+
+    Args:
+        number: Number in the series.
 
     Raises:
         ValueError: If there is no such point.
     """
     if not 0 <= number < _COUNT:
-        raise ValueError(f"there is no sample {number}, only those from 0 to {_COUNT - 1}")
+        raise ValueError(f"sample = {number} must be from 0 to {_COUNT - 1}")
     tens, rest = divmod(number, _IN_TEN)
     if rest < _SPACE:
         region, index = "space", _SPACE * tens + rest

@@ -10,7 +10,7 @@ from scipy.special import i0, i1
 from awa_sim_node.simulation.field_map import FieldMap, FloatArray, coefficients, empty_map
 
 FOCUSING_FIELD: Final = 0.12017 / 550.0
-"""Peak field of bucking and focusing solenoid per current [T/A]."""
+"""Peak field of the bucking and focusing solenoid per current [T/A]."""
 
 MATCHING_FIELD: Final = 0.61126 / 440.0
 """Peak field of the matching solenoid per current [T/A]."""
@@ -21,8 +21,8 @@ _RADIUS: Final = 0.05
 def solenoid_maps() -> tuple[FieldMap, FieldMap]:
     """Return the fields (B_z, B_r) of the focusing and the matching solenoid for 1 A.
 
-    B_z on axis is a sine series over the length of the maps: the bucking coil makes it 0 at the
-    cathode.
+    B_z on axis is a sine series over the length of the maps, because the bucking coil makes it 0 at
+    the cathode.
     """
     data = coefficients()
     length = float(data["solenoid_length"])

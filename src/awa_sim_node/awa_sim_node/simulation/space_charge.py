@@ -1,10 +1,10 @@
-"""The field of the bunch itself, and of its image in the cathode, on a mesh that goes with it.
+"""The field of the bunch itself and of its image in the cathode, on a mesh that moves with it.
 
-In the frame of the bunch's mean motion the field is electrostatic: the charges go to the nodes of
-a mesh (cloud in cell), the potential is their convolution with the integrated Green function by
-fast Fourier transforms, and the field is the potential's difference quotient. Transformed back,
-each volt per metre across brings a magnetic field. The image moves the other way: its magnetic
-field has the other sign.
+In the rest frame of the bunch's mean motion the field is electrostatic: the charges are assigned to
+the nodes of a mesh (cloud in cell), the potential is their convolution with the integrated Green
+function by fast Fourier transforms, and the field is the difference quotient of the potential.
+Transformed back to the laboratory, the transverse electric field has a magnetic field with it. The
+image moves in the opposite direction, so that its magnetic field has the opposite sign.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ FloatArray = NDArray[np.floating[Any]]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 SHAPE_STEP: Final = 1.03
-"""The ratios of a cell's sides are powers of this, so that few shapes occur."""
+"""Base of the ratios of a cell's sides, which are integer powers of it, so that few shapes occur."""
 
 _KEPT_SHAPES: Final = 600
 _COULOMB: Final = 1.0 / (4.0 * math.pi * VACUUM_PERMITTIVITY)
@@ -36,13 +36,13 @@ class BunchField(NamedTuple):
     """Field of the bunch in the laboratory at one time.
 
     Attributes:
-        values: E_x, E_y, E_z [V/m], B_x, B_y [T] at the nodes, ``(nx, ny, nz, 5)``.
-        x: Position of the first node [m].
-        y: Position of the first node [m].
-        z: Position of the first node [m].
-        dx: Step [m].
-        dy: Step [m].
-        dz: Step [m].
+        values: Components E_x, E_y, E_z [V/m], B_x, B_y [T] at the nodes, ``(nx, ny, nz, 5)``.
+        x: Position of the first node in x [m].
+        y: Position of the first node in y [m].
+        z: Position of the first node in z [m].
+        dx: Step in x [m].
+        dy: Step in y [m].
+        dz: Step in z [m].
         momentum: Mean axial momentum of the bunch [mc].
     """
 
@@ -57,10 +57,14 @@ class BunchField(NamedTuple):
 
 
 class SpaceCharge:
-    """Solves for the field of a bunch, and keeps what it can use again."""
+    """A solver for the field of a bunch, which reuses its arrays and Green functions."""
 
     def __init__(self, shape: tuple[int, int, int]) -> None:
-        """Make room for a mesh of ``(nx, ny, nz)`` nodes."""
+        """Allocate the arrays.
+
+        Args:
+            shape: Number of nodes of the mesh, ``(nx, ny, nz)``.
+        """
         self.shape = shape
         self._charge = np.zeros(shape, dtype=np.float32)
         self._values = np.zeros((*shape, 5))
@@ -72,22 +76,22 @@ class SpaceCharge:
     def field(
         self, bunch: Bunch, time: float, ahead: float, force: float, image: bool
     ) -> BunchField:
-        """Return the field of the bunch as it will be a little later.
+        """Return the field of the bunch at a slightly later time.
 
-        Taking the field at the middle of the interval in which it is used makes the whole
-        tracking of second order in that interval.
+        With the field at the middle of the interval in which it is used, the whole tracking is of
+        second order in that interval.
 
         Args:
-            bunch: Its particles at ``time``.
-            time: Time of the particles [s].
-            ahead: How much later the field is wanted [s]; until then all are under the same
-                axial force.
-            force: This force [mc/s].
+            bunch: Bunch at ``time``.
+            time: Time of the bunch [s].
+            ahead: Time from ``time`` to that of the field [s]; until then, the same axial force is
+                assumed for all particles.
+            force: Axial force [mc/s].
             image: Whether to add the field of the image in the cathode.
 
         Returns:
-            The field at ``time + ahead``, none where no particle is left. The same arrays are
-            filled the next time.
+            The field at ``time + ahead``; zero if no particle is left. The next call overwrites its
+            arrays.
         """
         points, low, high, momentum = predicted(bunch, time, ahead, force)
         if len(points) == 0:
@@ -101,7 +105,7 @@ class SpaceCharge:
         x = 0.5 * (low[0] + high[0]) - 0.5 * (nx - 1) * dx
         y = 0.5 * (low[1] + high[1]) - 0.5 * (ny - 1) * dy
         z = 0.5 * (low[2] + high[2]) - 0.5 * (nz - 1) * dz
-        # On half nodes counted from the cathode, so that the image is a whole number away.
+        # At a multiple of half a cell from the cathode: an integer number of cells from the image.
         offset = round(2.0 * z / dz)
         z = 0.5 * offset * dz
         deposit(points, self._charge, x, y, z, dx, dy, dz)
@@ -121,8 +125,8 @@ class SpaceCharge:
     def _cells(
         self, low: FloatArray, high: FloatArray, gamma: float
     ) -> tuple[float, float, float, tuple[int, int]]:
-        """Return the sides of a cell in the bunch's frame, and the ratios y/x and z/x as powers."""
-        # One cell is left on each side, and half a one for the shift onto the lattice.
+        """Return the sides of a cell in the rest frame, and the exponents of the ratios y/x, z/x."""
+        # One cell is free on each side, and half a cell is lost to the alignment with the cathode.
         sides = np.maximum(high - low, 1e-9) / (np.array(self.shape) - 3.5)
         sides[2] *= gamma
         step = math.log(SHAPE_STEP)
@@ -132,7 +136,11 @@ class SpaceCharge:
         return float(dx), float(dy), float(dz), (int(ratios[0]), int(ratios[1]))
 
     def _transform(self, ratios: tuple[int, int]) -> FloatArray:
-        """Return the transform of the Green function for a shape of cells with dx = 1."""
+        """Return the transform of the Green function for cells with dx = 1.
+
+        Args:
+            ratios: Exponents of the ratios y/x and z/x of the cell's sides.
+        """
         kept = self._transforms.get(ratios)
         if kept is None:
             sides = 1.0, SHAPE_STEP ** ratios[0], SHAPE_STEP ** ratios[1]
@@ -182,7 +190,14 @@ def _predict(
 def predicted(
     bunch: Bunch, time: float, ahead: float, force: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """Return positions ``ahead`` seconds later, their bounds and the mean axial momentum [mc]."""
+    """Return the positions ``ahead`` seconds later, their bounds and mean axial momentum [mc].
+
+    Args:
+        bunch: Bunch at ``time``.
+        time: Time of the bunch [s].
+        ahead: Time to predict [s].
+        force: Axial force on all particles [mc/s].
+    """
     points = np.empty((len(bunch.phase_space), 3))
     count, low, high, momentum = _predict(
         bunch.phase_space, bunch.state, bunch.emission, time, ahead, force, points
@@ -201,7 +216,18 @@ def deposit(
     dy: float,
     dz: float,
 ) -> None:
-    """Share particles among the eight nodes around each; ``charge`` counts particles."""
+    """Assign particles to the eight nodes around each.
+
+    Args:
+        points: Positions of the particles [m], ``(n, 3)``.
+        charge: Number of particles at each node, ``(nx, ny, nz)``; overwritten.
+        x: Position of the first node in x [m].
+        y: Position of the first node in y [m].
+        z: Position of the first node in z [m].
+        dx: Step in x [m].
+        dy: Step in y [m].
+        dz: Step in z [m].
+    """
     charge[:] = 0.0
     for p in range(len(points)):
         a, b, c = (points[p, 0] - x) / dx, (points[p, 1] - y) / dy, (points[p, 2] - z) / dz
@@ -218,7 +244,7 @@ def deposit(
 
 
 def _forward(charge: FloatArray, padded: ComplexArray) -> None:
-    """Transform a mesh padded to twice its size into ``padded``, without transforming zeros."""
+    """Transform a mesh, padded to twice its size, into ``padded``; rows of zeros are skipped."""
     nx, ny, nz = charge.shape
     padded[:nx, ny:] = 0.0
     padded[nx:] = 0.0
@@ -228,7 +254,7 @@ def _forward(charge: FloatArray, padded: ComplexArray) -> None:
 
 
 def _backward(padded: ComplexArray, shape: tuple[int, int, int]) -> FloatArray:
-    """Transform back in place, and return the mesh itself only."""
+    """Transform back in place, and return the mesh without its padding."""
     nx, ny, nz = shape
     scipy.fft.ifft(padded, axis=0, overwrite_x=True)
     scipy.fft.ifft(padded[:nx], axis=1, overwrite_x=True)
@@ -240,7 +266,7 @@ def _backward(padded: ComplexArray, shape: tuple[int, int, int]) -> FloatArray:
 def _times_real(
     charge: ComplexArray, kernel: FloatArray, scale: float, product: ComplexArray
 ) -> None:
-    """Multiply by the transform of an even kernel, of which an eighth is given."""
+    """Multiply by the transform of an even kernel, given in one octant."""
     mx, my, mz = charge.shape
     for i in range(mx):
         ii = min(i, mx - i)
@@ -254,13 +280,13 @@ def _times_real(
 def _times_mirrored(
     charge: ComplexArray, kernel: ComplexArray, scale: float, product: ComplexArray
 ) -> None:
-    """Multiply the transform of the charges mirrored in z by the image's kernel."""
+    """Multiply the transform of the charges, mirrored in z, by the kernel of the image."""
     mx, my, mz = charge.shape
     for i in range(mx):
         ii = min(i, mx - i)
         for j in range(my):
             jj = min(j, my - j)
-            # The transform at -k_z: of a real mesh, the conjugate at (-k_x, -k_y, k_z).
+            # The transform of a real mesh at -k_z is the conjugate of that at (-k_x, -k_y, k_z).
             mi, mj = (mx - i) % mx, (my - j) % my
             for k in range(mz):
                 mirrored = np.conj(charge[mi, mj, k])
@@ -278,7 +304,18 @@ def _differentiate(
     beta: float,
     values: FloatArray,
 ) -> None:
-    """Fill E and B in the laboratory from the potentials in the bunch's frame (dz is there)."""
+    """Fill ``values`` with E and B in the laboratory from the potentials in the rest frame.
+
+    Args:
+        own: Potential of the bunch, ``(nx, ny, nz)``.
+        image: Potential of the image, ``(nx, ny, nz)``, or empty.
+        dx: Step in x [m].
+        dy: Step in y [m].
+        dz: Step in z, in the rest frame [m].
+        gamma: Lorentz factor of the bunch.
+        beta: Velocity of the bunch [c].
+        values: Field at the nodes, ``(nx, ny, nz, 5)``; overwritten.
+    """
     nx, ny, nz = own.shape
     with_image = image.shape[0] > 0
     across = gamma * beta / SPEED_OF_LIGHT

@@ -1,7 +1,7 @@
-"""Making the table of simulations: in parallel, and going on where it was stopped.
+"""The table of simulations, computed in parallel; an interrupted computation can be continued.
 
-Each row is appended as soon as it is done. When all are there the table is sorted, so that the
-same version makes the same file.
+Each row is appended as soon as it is computed. The complete table is sorted, so that the same
+version of the simulation always gives the same file.
 """
 
 from __future__ import annotations
@@ -33,11 +33,16 @@ HEADER: Final = ",".join(
 
 _DIGITS: Final = 5  # significant digits of the outputs
 
-_solvers: dict[tuple[int, int, int], SpaceCharge] = {}  # of this process
+_solvers: dict[tuple[int, int, int], SpaceCharge] = {}  # by mesh, in this process
 
 
 def simulate(point: Sample, resolution: Resolution) -> str:
-    """Return the row of one sample, without the end of the line. Its number is the seed."""
+    """Return the row of one sample, without the line break.
+
+    Args:
+        point: Sample; its number is also the seed of the particles.
+        resolution: Resolution of the simulation.
+    """
     solver = _solvers.setdefault(resolution.mesh, SpaceCharge(resolution.mesh))
     injector = Injector(point.settings)
     beams = injector.track(PLANES, resolution, seed=point.number, solver=solver)
@@ -48,10 +53,13 @@ def simulate(point: Sample, resolution: Resolution) -> str:
 
 
 def read_rows(path: Path) -> dict[int, str]:
-    """Return the whole rows of a table by number; a line that was cut off does not count.
+    """Return the complete rows of a table by number; an incomplete last line is ignored.
+
+    Args:
+        path: CSV file; a missing or empty file has no rows.
 
     Raises:
-        ValueError: If the table is another one, or was made by another version.
+        ValueError: If the columns differ, or the table was computed by another version.
     """
     if not path.exists() or path.stat().st_size == 0:
         return {}
@@ -64,14 +72,14 @@ def read_rows(path: Path) -> dict[int, str]:
         if version != VERSION:
             raise ValueError(
                 f"row {number} of {path} is of version {version} of the simulation, "
-                f"and must be of version {VERSION} to go on"
+                f"but must be of version {VERSION} to continue the table"
             )
         rows[int(number)] = line
     return rows
 
 
 def write_rows(path: Path, rows: dict[int, str]) -> None:
-    """Write a table sorted by number, in one go."""
+    """Write a table sorted by number; the file is replaced at once."""
     part = path.with_name(path.name + ".part")
     part.write_text("\n".join([HEADER, *[rows[number] for number in sorted(rows)]]) + "\n")
     part.replace(path)
@@ -84,27 +92,27 @@ def make_table(
     resolution: Resolution | None = None,
     say: Callable[[str], None] = print,
 ) -> None:
-    """Simulate the samples that a table lacks, and leave it sorted.
+    """Simulate the missing samples of a table, and sort it.
 
     Args:
-        path: The table; made where it is missing.
-        numbers: The samples wanted.
-        workers: Processes.
-        resolution: How finely; by default that of the data set.
-        say: Gets a line now and then.
+        path: CSV file; created if it is missing.
+        numbers: Numbers of the samples that the table should have.
+        workers: Number of processes.
+        resolution: Resolution of the simulation; by default that of the data set.
+        say: Callable that receives progress messages.
 
     Raises:
-        ValueError: If there is no such sample, the number of workers makes no sense, or the table
-            is another one or of another version.
+        ValueError: If there is no such sample, ``workers`` is less than 1, or the columns or the
+            version of an existing table differ.
     """
     if workers < 1:
-        raise ValueError(f"workers is {workers}, and must be 1 or more")
+        raise ValueError(f"workers = {workers} must be 1 or more")
     rows = read_rows(path)
     missing = [number for number in numbers if number not in rows]
     for number in missing:
-        sample(number)  # refuses what does not exist before anything is written
-    write_rows(path, rows)  # without what was cut off
-    say(f"{len(rows)} rows are there, {len(missing)} are missing")
+        sample(number)  # refuses unknown numbers before anything is written
+    write_rows(path, rows)  # drops an incomplete last line
+    say(f"{len(rows)} rows exist, {len(missing)} are missing")
     tasks = [(number, resolution or Resolution()) for number in missing]
     with path.open("a") as file:
         for count, line in enumerate(_computed(tasks, workers), start=1):

@@ -1,4 +1,4 @@
-"""A neural network that plays an AWA-like injector; it is not the paper's surrogate."""
+"""A neural network that models an AWA-like injector. It is not the paper's surrogate."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["Surrogate"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import ``Surrogate`` on first use: it brings torch, which the metadata do not need."""
+    """Import ``Surrogate`` on first use: it imports torch, which the metadata do not need."""
     if name == "Surrogate":
         from awa_sim_node.surrogate.predictor import Surrogate
 

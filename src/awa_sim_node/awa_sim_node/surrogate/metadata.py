@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Final
 
 DEFAULT_CHARGE: Final = 40.0
-"""Bunch charge where none is given [nC]: that of the paper."""
+"""Default bunch charge [nC]: that of the paper."""
 
 DEFAULT_COUPLER_KICK: Final = 1.2
-"""Integrated quadrupole kick of the linac coupler where none is given [mT].
+"""Default integrated quadrupole kick of the linac coupler [mT].
 
-It makes the beam about 15 % wider than high at the screen, as was measured at the real machine.
+It makes the beam at the screen about 15 % wider than high, as measured at the real machine.
 """
 
 
@@ -22,12 +22,12 @@ class Input:
     """One input of the surrogate.
 
     Attributes:
-        name: Its name.
-        unit: Its unit.
-        training_range: Where the surrogate was trained, and outside of which it refuses to answer.
-        machine_limits: The paper's bounds for the six settings; what the simulated machine accepts.
-            For charge and coupler kick, which are no settings, the training range.
-        meaning: What it is.
+        name: Name of the input.
+        unit: Unit of the input.
+        training_range: Range of the training data; inputs outside it are refused.
+        machine_limits: Range that the simulated machine accepts: the paper's bounds for the six
+            settings, the training range for charge and coupler kick.
+        meaning: Short description.
     """
 
     name: str
@@ -39,7 +39,13 @@ class Input:
 
 @dataclass(frozen=True)
 class Output:
-    """One output of the surrogate, at the screen 3.1 m from the cathode."""
+    """One output of the surrogate, at the screen 3.1 m from the cathode.
+
+    Attributes:
+        name: Name of the output.
+        unit: Unit of the output; empty if it has none.
+        meaning: Short description.
+    """
 
     name: str
     unit: str
@@ -81,13 +87,13 @@ OUTPUTS: Final = (
 """All outputs of the surrogate, in its order."""
 
 TRAINED_FILE: Final = Path(__file__).with_name("trained.json")
-"""What the training found out: held-out errors and the ranges of the outputs."""
+"""Results of the training: held-out errors and the ranges of the outputs."""
 
 
 def output_ranges() -> dict[str, tuple[float, float]]:
-    """Return the least and greatest value of each output over the machine's limits, in its unit.
+    """Return the lowest and highest value of each output over the machine's limits, in its unit.
 
-    They map every output to [-1, 1], as in the paper.
+    They serve to map every output to [-1, 1], as in the paper.
     """
     ranges = json.loads(TRAINED_FILE.read_text())["output_ranges"]
     return {output.name: (ranges[output.name][0], ranges[output.name][1]) for output in OUTPUTS}

@@ -1,19 +1,19 @@
-"""The network: small perceptrons side by side, with what is known of the physics built in.
+"""The network: three perceptrons with known physics built in.
 
-* The machine is symmetric about its axis but for the quadrupole kick k of the linac coupler, and
-  turning the beam by 90 degrees changes the sign of k. So one function f gives both transverse
-  planes, sigma_x = f(k) and sigma_y = f(-k), and everything longitudinal is even in k.
-* The strength of a lens goes with the square of its field over the momentum, so such ratios are
-  inputs beside the plain settings.
-* Near a waist, sigma^2 is the square of something that passes through zero, plus a small rest. The
-  network gives these two, which are smooth, and not sigma, which has a kink.
-* The mean energy is nearly the sum of what the gun and the linac give; only the rest is learnt.
-* Beam is lost where it outgrows the aperture. The network gives the width the beam would have
-  without an aperture; eight parameters shared by all rows turn that into the transmission and its
-  effect on the rest.
-* Widths, emittances and lengths have a perceptron each. All learn the beam half-way to the screen
-  besides, and that of the emittances the widths: only because this leads to a better inner
-  representation than the screen could teach alone.
+* The machine is symmetric about its axis except for the quadrupole kick k of the linac coupler, and
+  a rotation of the beam by 90 degrees changes the sign of k. So one function f gives both transverse
+  planes, sigma_x = f(k) and sigma_y = f(-k), and all longitudinal quantities are even in k.
+* The strength of a lens is proportional to the square of its field over the momentum, so such
+  ratios are inputs in addition to the settings.
+* Near a waist, sigma^2 is the square of a quantity that passes through zero, plus a small rest. The
+  network predicts these two, which are smooth, instead of sigma, which has a kink.
+* The mean energy is nearly the sum of the contributions of gun and linac; only the rest is learnt.
+* Beam is lost where it is wider than the aperture. The network predicts the width that the beam
+  would have without an aperture; eight parameters shared by all rows convert it to the transmission
+  and its effect on the other outputs.
+* Widths, emittances and lengths have one perceptron each. All of them also learn the beam half-way
+  to the screen, and that of the emittances also learns the widths: these auxiliary targets only
+  serve to improve the inner representation.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ _LOGS: Final = 8  # sigma_x, sigma_y, sigma_z, eps_x, eps_y, eps_z, dE, energy
 _FEATURES: Final = 12
 _DEPTH: Final = 4  # hidden layers
 
-_WIDTH_FLOOR: Final = math.exp(-1.5)  # first guess of the narrowest waist against the usual width
+_WIDTH_FLOOR: Final = math.exp(-1.5)  # initial ratio of the narrowest waist to the typical width
 _SIZE_POWER: Final = (
-    4.0  # of the mean of the two widths that decides about losses: nearly the maximum
+    4.0  # exponent of the mean of the two widths that determines the losses: nearly the maximum
 )
-_INITIAL_LIMIT: Final = 23.5  # first guess of the rms width at which losses start [mm]
+_INITIAL_LIMIT: Final = 23.5  # initial value of the rms width at which losses start [mm]
 
 
 class Beam(NamedTuple):
-    """What the network says of n beams, for each of M members.
+    """Prediction of the network for n beams by each of M members.
 
-    The logarithms are of the first eight outputs, at the screen and half-way to it.
+    The logarithms are those of the first eight outputs, at the screen and half-way to it.
 
     Attributes:
         logs: Natural logarithms of the outputs, ``(M, n, 2, 8)``.
-        hints: Natural logarithms of the widths as the perceptron of the emittances sees them; they
-            matter in training only, ``(M, n, 2, 2)``.
+        hints: Natural logarithms of the widths as predicted by the perceptron of the emittances,
+            used in training only, ``(M, n, 2, 2)``.
         log_transmission: Natural logarithm of the transmission to the screen, ``(M, n)``.
     """
 
@@ -59,10 +59,17 @@ class Beam(NamedTuple):
 
 
 class Perceptrons(nn.Module):
-    """M perceptrons of one shape, with a linear path beside the hidden layers."""
+    """M perceptrons of one shape, with a linear path parallel to the hidden layers."""
 
     def __init__(self, members: int, hidden: int, outputs: int, generator: torch.Generator) -> None:
-        """Create perceptrons with random weights."""
+        """Create perceptrons with random weights.
+
+        Args:
+            members: Number of perceptrons, M.
+            hidden: Number of units in each hidden layer.
+            outputs: Number of outputs.
+            generator: Random number generator of the weights.
+        """
         super().__init__()
         sizes = (_FEATURES, *[hidden] * _DEPTH, outputs)
         self.weights = nn.ParameterList(
@@ -92,8 +99,8 @@ class EnsembleNetwork(nn.Module):
         """Create a network with random weights.
 
         Args:
-            members: Number of networks.
-            hidden: Units in each hidden layer.
+            members: Number of networks, M.
+            hidden: Number of units in each hidden layer.
             seed: Seed of the random weights.
         """
         super().__init__()
@@ -104,12 +111,12 @@ class EnsembleNetwork(nn.Module):
         self.loss_threshold = nn.Parameter(torch.full((members, 1), 2.0 * math.log(_INITIAL_LIMIT)))
         self.loss_log_softness = nn.Parameter(torch.full((members, 1), -3.0))
         self.loss_log_slope = nn.Parameter(torch.zeros(members, 1))
-        # How sigma, sigma_z, eps, eps_z and dE change with the logarithm of the transmission.
+        # Derivatives of the logs of sigma, sigma_z, eps, eps_z and dE by the log of the transmission.
         exponents = torch.zeros(members, 5)
         exponents[:, 0] = 0.5
         self.loss_exponents = nn.Parameter(exponents)
         bounds = torch.tensor([quantity.training_range for quantity in INPUTS])
-        bounds[-1, 0] = -bounds[-1, 1]  # the turned beam has the opposite kick
+        bounds[-1, 0] = -bounds[-1, 1]  # the rotated beam has the opposite kick
         self.register_buffer("centre", bounds.mean(dim=1))
         self.register_buffer("half_width", 0.5 * (bounds[:, 1] - bounds[:, 0]))
         self.register_buffer("log_mean", torch.zeros(_PLANES, _LOGS))
@@ -133,16 +140,16 @@ class EnsembleNetwork(nn.Module):
         return [*self.widths.weights, *self.emittances.weights, *self.lengths.weights]
 
     def standardise(self, inputs: NDArray[np.float64], logs: NDArray[np.float64]) -> None:
-        """Take mean and scale of the outputs from the table.
+        """Set mean and scale of the outputs from the training data.
 
         Args:
-            inputs: The eight inputs in their units, ``(n, 8)``.
-            logs: Logs of the first eight outputs at both planes, ``(n, 2, 8)``.
+            inputs: Eight inputs in their units, ``(n, 8)``.
+            logs: Logarithms of the first eight outputs at both planes, ``(n, 2, 8)``.
         """
         logs = logs.copy()
         logs[:, :, 7] -= _log_energy(torch.as_tensor(inputs)).numpy()[:, None]
         mean, scale = logs.mean(axis=0), logs.std(axis=0)
-        # The two transverse planes are one function, so they share theirs.
+        # One function gives both transverse planes, so they share mean and scale.
         mean[:, [1, 4]], scale[:, [1, 4]] = mean[:, [0, 3]], scale[:, [0, 3]]
         self.log_mean.copy_(torch.as_tensor(mean))
         self.log_scale.copy_(torch.as_tensor(scale))
@@ -167,7 +174,7 @@ class EnsembleNetwork(nn.Module):
         return Beam(logs, hints, log_transmission)
 
     def _features(self, inputs: Tensor) -> Tensor:
-        """Return scaled inputs, and four ratios to the gun gradient, ``(n, 12)``."""
+        """Return the scaled inputs and four ratios to the gun gradient, ``(n, 12)``."""
         gun = inputs[:, 4] / self.centre[4]
         ratios = [
             2.0 * ((inputs[:, 1] / self.centre[1] / gun) ** 2 - 1.0),
@@ -179,21 +186,33 @@ class EnsembleNetwork(nn.Module):
         return torch.cat([scaled, torch.stack(ratios, dim=1)], dim=1)
 
     def _transverse(self, values: Tensor, column: int, scale: Tensor | float) -> Tensor:
-        """Return ``(M, n, 2, 2)``, x and y last, from ``(M, 2 n, 2)`` for k and -k."""
+        """Return the logs of one transverse quantity, with x and y on the last axis.
+
+        Args:
+            values: Scaled logs for k and -k, ``(M, 2 n, 2)``.
+            column: Column of the quantity in ``log_mean``.
+            scale: Scale of the logs at both planes.
+
+        Returns:
+            The logs, ``(M, n, 2, 2)``.
+        """
         logs = self.log_mean[:, column] + scale * values
         return torch.stack(logs.chunk(2, dim=1), dim=-1)
 
     def _changes(self) -> Tensor:
-        """Return the change of each log with the log of the transmission, ``(M, 8)``."""
+        """Return the derivative of each log by the log of the transmission, ``(M, 8)``."""
         exponents = self.loss_exponents
         unchanged = torch.zeros_like(exponents[:, :1])  # the mean energy
         return torch.cat([exponents[:, [0, 0, 1, 2, 2, 3, 4]], unchanged], dim=1)
 
     def _log_transmission(self, log_widths: Tensor) -> Tensor:
-        """Return the log of the transmission, ``(M, n)``, for the log widths, ``(M, n, 2)``.
+        """Return the log of the transmission, ``(M, n)``.
 
-        The widths are those without losses. It is 0 for small beams, and falls in proportion to
-        the logarithm of the beam's area for those beyond the threshold.
+        It is 0 for small beams, and decreases linearly with the logarithm of the beam's area beyond
+        the threshold.
+
+        Args:
+            log_widths: Logs of the widths without losses, ``(M, n, 2)``.
         """
         summed = torch.logsumexp(_SIZE_POWER * log_widths, dim=-1) - math.log(2.0)
         log_area = 2.0 / _SIZE_POWER * summed
@@ -208,12 +227,12 @@ def _planes(values: Tensor) -> Tensor:
 
 
 def _log_width(values: Tensor) -> Tensor:
-    """Return the log of the root of (1 + focus)^2 + floor^2, from ``(..., 2)``."""
+    """Return 0.5 log((1 + focus)^2 + floor^2); the last axis of ``values`` gives both."""
     focus, floor = values[..., 0], _WIDTH_FLOOR * torch.exp(values[..., 1])
     return 0.5 * torch.log((1.0 + focus) ** 2 + floor**2)
 
 
 def _log_energy(inputs: Tensor) -> Tensor:
-    """Return the log of a first guess of the energy, linac plus gun, ``(n,)``."""
+    """Return the log of an estimate of the energy, linac plus gun, ``(n,)``."""
     linac = 0.402 * inputs[:, 5] * torch.cos(torch.deg2rad(inputs[:, 3]))
     return torch.log(linac + 0.1055 * inputs[:, 4] - 0.05)

@@ -1,4 +1,4 @@
-"""The trained surrogate: eight inputs in, nine outputs at the screen out."""
+"""The trained surrogate: nine outputs at the screen as a function of eight inputs."""
 
 from __future__ import annotations
 
@@ -26,23 +26,40 @@ _NAMES: Final = tuple(quantity.name for quantity in INPUTS)
 class Surrogate:
     """The AWA-like injector as a function: the mean over an ensemble of networks.
 
-    It answers within the box it was trained in, and nowhere else.
+    Inputs outside the training range are refused.
+
+    Example:
+        >>> surrogate = Surrogate.load()
+        >>> point = {"K1": 475.0, "K2": 230.0, "phi1": -5.0, "phi2": -5.0, "G1": 67.5, "G2": 20.0}
+        >>> beam = surrogate.predict(point)
+        >>> print(f"{beam['sigma_x']:.1f} mm, {beam['energy']:.1f} MeV")
+        12.3 mm, 15.1 MeV
+        >>> surrogate.predict(point | {"G1": [62.0, 67.5, 73.0]})["energy"].round(1)
+        array([14.5, 15.1, 15.7])
     """
 
     defaults: Final[Mapping[str, float]] = {
         "charge": DEFAULT_CHARGE,
         "coupler_kick": DEFAULT_COUPLER_KICK,
     }
-    """Values of the inputs that need not be given."""
+    """Defaults of the optional inputs."""
 
     def __init__(self, network: EnsembleNetwork) -> None:
-        """Take a trained network, in double precision."""
+        """Wrap a trained network.
+
+        Args:
+            network: Network in double precision.
+        """
         self._network = network.eval()
         self._low, self._high = np.array([quantity.training_range for quantity in INPUTS]).T
 
     @classmethod
     def load(cls, folder: Path = Path(__file__).parent) -> Surrogate:
-        """Load the weights of the project's own surrogate, or those in ``folder``."""
+        """Load a trained surrogate.
+
+        Args:
+            folder: Folder with ``weights.npz``; by default that of the project's own surrogate.
+        """
         with np.load(folder / WEIGHTS_FILE, allow_pickle=False) as file:
             state = {name: torch.as_tensor(file[name]) for name in file.files}
         members, _, hidden = state["widths.weights.0"].shape
@@ -54,8 +71,8 @@ class Surrogate:
         """Predict the beam at the screen.
 
         Args:
-            inputs: Floats, or arrays of one length, in physical units (A, deg, MV/m, nC, mT);
-                ``charge`` and ``coupler_kick`` may be left out.
+            inputs: Floats, or arrays of equal length, in physical units (A, deg, MV/m, nC, mT);
+                ``charge`` and ``coupler_kick`` are optional.
 
         Returns:
             ``sigma_x``, ``sigma_y``, ``sigma_z`` [mm], ``eps_x``, ``eps_y``, ``eps_z`` [mm mrad],
@@ -68,17 +85,19 @@ class Surrogate:
         return _by_name(self.predict_array(points), scalar)
 
     def spread(self, inputs: Mapping[str, ArrayLike]) -> dict[str, Any]:
-        """Return how much the members of the ensemble differ, as a model uncertainty.
+        """Return the standard deviation between the members of the ensemble.
+
+        It is an estimate of the model's uncertainty.
 
         Args:
-            inputs: As for ``predict``.
+            inputs: Same as for ``predict``.
 
         Returns:
-            The standard deviation between the members of each output, in its unit: floats, or
-            arrays if an input is one.
+            The standard deviation of each output, in its unit: floats, or arrays if an input is
+            one.
 
         Raises:
-            ValueError: As ``predict`` does.
+            ValueError: In the same cases as ``predict``.
         """
         points, scalar = self._points(inputs)
         return _by_name(self._members(points).std(axis=0, ddof=1), scalar)
@@ -86,7 +105,7 @@ class Surrogate:
     def predict_with_spread(
         self, inputs: Mapping[str, ArrayLike]
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return what ``predict`` and ``spread`` do, at the cost of one of them."""
+        """Return the results of ``predict`` and ``spread`` from one evaluation of the network."""
         points, scalar = self._points(inputs)
         members = self._members(points)
         return _by_name(_average(members), scalar), _by_name(members.std(axis=0, ddof=1), scalar)
@@ -95,10 +114,10 @@ class Surrogate:
         """Predict the beam at the screen for n points at once.
 
         Args:
-            inputs: All eight inputs, in the order of ``metadata.INPUTS``, ``(n, 8)``.
+            inputs: Values of all eight inputs, in the order of ``metadata.INPUTS``, ``(n, 8)``.
 
         Returns:
-            All nine outputs, in the order of ``metadata.OUTPUTS``, ``(n, 9)``.
+            The nine outputs, in the order of ``metadata.OUTPUTS``, ``(n, 9)``.
 
         Raises:
             ValueError: If the shape is wrong, or a value not finite or outside its training range.
@@ -106,7 +125,7 @@ class Surrogate:
         return _average(self._members(inputs))
 
     def _points(self, inputs: Mapping[str, ArrayLike]) -> tuple[NDArray[np.float64], bool]:
-        """Return the inputs as an array ``(n, 8)``, and whether all of them are plain numbers."""
+        """Return the inputs as an array ``(n, 8)``, and whether all of them are scalars."""
         unknown = sorted(set(inputs) - set(_NAMES))
         if unknown:
             raise ValueError(f"input {unknown[0]!r} must be one of {', '.join(_NAMES)}")
@@ -117,7 +136,7 @@ class Surrogate:
         columns = [np.asarray(given[name], dtype=np.float64) for name in _NAMES]
         lengths = sorted({column.size for column in columns if column.ndim > 0})
         if any(column.ndim > 1 for column in columns) or len(lengths) > 1:
-            raise ValueError("inputs must be numbers or one-dimensional arrays of one length")
+            raise ValueError("inputs must be numbers or one-dimensional arrays of equal length")
         points = np.stack(np.broadcast_arrays(*columns), axis=-1).reshape(-1, len(_NAMES))
         return points, not lengths
 
@@ -139,8 +158,8 @@ class Surrogate:
         row, column = np.argwhere(outside)[0]
         quantity = INPUTS[column]
         raise ValueError(
-            f"{quantity.name} = {inputs[row, column]:g} {quantity.unit} is outside the range the "
-            f"surrogate was trained in, {self._low[column]:g} to {self._high[column]:g} "
+            f"{quantity.name} = {inputs[row, column]:g} {quantity.unit} is outside the training "
+            f"range of the surrogate, {self._low[column]:g} to {self._high[column]:g} "
             f"{quantity.unit}"
         )
 
@@ -155,10 +174,10 @@ def _average(members: NDArray[np.float64]) -> NDArray[np.float64]:
     """Average the members of an ensemble.
 
     Args:
-        members: The outputs of each member, ``(M, n, 9)``.
+        members: Outputs of each member, ``(M, n, 9)``.
 
     Returns:
-        The geometric mean of the first eight outputs, and the mean of the transmission, ``(n, 9)``.
+        The geometric mean of the first eight outputs and the mean of the transmission, ``(n, 9)``.
     """
     mean = np.exp(np.log(members).mean(axis=0))
     mean[:, 8] = members[:, :, 8].mean(axis=0)

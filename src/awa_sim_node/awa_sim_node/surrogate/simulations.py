@@ -1,4 +1,4 @@
-"""The simulated beams the surrogate is trained on: one row a run of the particle-in-cell code."""
+"""The training data of the surrogate: one row per run of the particle-in-cell simulation."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from awa_sim_node.surrogate.metadata import INPUTS, OUTPUTS
 
 SIMULATIONS_FILE: Final = Path(__file__).with_name("simulations.csv")
 PLANES: Final = ("3.1", "1.95")
-"""Where the beam was recorded [m from the cathode]: at the screen, and half-way to it."""
+"""Positions of the recorded beams [m from the cathode]: the screen, and half-way to it."""
 
 REGIONS: Final = ("space", "corner")
-"""What a row is for: to fill the whole box, or the hard corner."""
+"""Purpose of a row: to fill the whole box, or the hard corner."""
 
 FIRST_HELD_OUT: Final = 2000
-"""Number of the first sample that no training sees. Each stretch of the series fills the space."""
+"""Number of the first held-out sample. Every section of the series fills the space."""
 
 _INPUTS: Final = [quantity.name for quantity in INPUTS]
 _OUTPUTS: Final = [f"{quantity.name}@{plane}" for plane in PLANES for quantity in OUTPUTS]
@@ -32,11 +32,11 @@ class Simulations:
     """A table of n simulations.
 
     Attributes:
-        inputs: The eight inputs, in the order of ``INPUTS`` and in their units, ``(n, 8)``.
-        outputs: The nine outputs at both ``PLANES``, in the order of ``OUTPUTS``, ``(n, 2, 9)``.
-        sample: Number of the row in the series, ``(n,)``.
-        region: One of ``REGIONS``, ``(n,)``.
-        version: Version of the simulation that made the row, ``(n,)``.
+        inputs: Eight inputs, in the order of ``INPUTS`` and in their units, ``(n, 8)``.
+        outputs: Nine outputs at both ``PLANES``, in the order of ``OUTPUTS``, ``(n, 2, 9)``.
+        sample: Number of each row in the series, ``(n,)``.
+        region: Purpose of each row, one of ``REGIONS``, ``(n,)``.
+        version: Version of the simulation that computed each row, ``(n,)``.
     """
 
     inputs: NDArray[np.float64]
@@ -55,21 +55,28 @@ class Simulations:
 
     @property
     def held_out(self) -> NDArray[np.bool_]:
-        """Whether no training sees the row, ``(n,)``."""
+        """Whether the row is excluded from the training, ``(n,)``."""
         return self.sample >= FIRST_HELD_OUT
 
     def where(self, rows: NDArray[np.bool_]) -> Simulations:
-        """Return the table of some rows, given by ``(n,)``."""
+        """Return a table of the selected rows.
+
+        Args:
+            rows: Whether to keep each row, ``(n,)``.
+        """
         return Simulations(*[getattr(self, field.name)[rows] for field in fields(self)])
 
     @classmethod
     def read(cls, path: Path = SIMULATIONS_FILE) -> Simulations:
         """Read a table.
 
+        Args:
+            path: CSV file.
+
         Raises:
-            OSError: If there is no such file.
-            ValueError: If a column is missing, there is no row, a row is there twice or has an
-                unknown region, or a number is none or not finite.
+            OSError: If the file cannot be read.
+            ValueError: If a column is missing, there is no row, a sample occurs twice or has an
+                unknown region, or a value is not a finite number.
         """
         with path.open(newline="") as file:
             reader = csv.DictReader(file)

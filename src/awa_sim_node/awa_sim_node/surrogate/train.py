@@ -1,8 +1,8 @@
 """Train the surrogate: ``python -m awa_sim_node.surrogate.train``.
 
-Trains on all rows of the table but those that are held out, finds the errors on those, and writes
-``weights.npz`` and ``trained.json``. One thread, ten minutes; equal seeds give equal weights on
-equal machines.
+Trains on all rows of the table except the held-out ones, computes the errors on the held-out rows,
+and writes ``weights.npz`` and ``trained.json``. It takes ten minutes on one thread; equal seeds give
+equal weights on equal computers.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from awa_sim_node.surrogate.simulations import SIMULATIONS_FILE, Simulations
 _LAST_LEARNING_RATE: Final = 1e-5
 _LOSS_LEARNING_RATE: Final = 3e-3
 _TRANSMISSION_SCALE: Final = (
-    0.05  # an error of 5 % in transmission weighs as much as one scale elsewhere
+    0.05  # a transmission error of 5 % has the weight of one scale of the other outputs
 )
-_NOISE: Final = 0.02  # of the simulation in the hard corner, as a share of an output's scale
+_NOISE: Final = 0.02  # noise of the simulation in the hard corner, as a fraction of the scale
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """How the network is trained.
+    """Settings of the training.
 
     Attributes:
-        members: Networks in the ensemble.
-        hidden: Units in each hidden layer.
-        steps: Steps of the Adam optimiser.
-        batch: Rows that each step sees.
-        learning_rate: The first learning rate; it falls to nearly 0 along a cosine.
+        members: Number of networks in the ensemble.
+        hidden: Number of units in each hidden layer.
+        steps: Number of steps of the Adam optimiser.
+        batch: Number of rows in each step.
+        learning_rate: Initial learning rate; it decreases to nearly 0 along a cosine.
         weight_decay: Weight of the sum of squares of all weights.
-        early_weight: Weight of the beam half-way to the screen against that at the screen.
+        early_weight: Weight of the beam half-way to the screen relative to that at the screen.
         seed: Seed of the initial weights and of the order of the rows.
     """
 
@@ -59,7 +59,12 @@ class Recipe:
 
 
 def fit(table: Simulations, recipe: Recipe) -> EnsembleNetwork:
-    """Train a network on a table, and return it in double precision."""
+    """Train a network and return it in double precision.
+
+    Args:
+        table: Training data.
+        recipe: Settings of the training.
+    """
     network = EnsembleNetwork(recipe.members, recipe.hidden, recipe.seed)
     logs_at_planes = np.log(table.outputs[:, :, :8])
     network.standardise(table.inputs, logs_at_planes)
@@ -85,7 +90,7 @@ def fit(table: Simulations, recipe: Recipe) -> EnsembleNetwork:
         beam = network(inputs[rows])
         errors = _errors(beam, logs[rows], network.log_scale, recipe.early_weight)
         lost = (beam.log_transmission - log_transmission[rows]) / _TRANSMISSION_SCALE
-        # Sums over members, so that each is trained as if it were alone.
+        # Summed over the members, so that each is trained independently.
         loss = (errors + 0.5 * lost**2).mean(dim=1).sum()
         loss = loss + recipe.weight_decay * sum((weight**2).sum() for weight in network.matrices())
         loss.backward()
@@ -98,9 +103,9 @@ def _errors(beam: Beam, logs: Tensor, scale: Tensor, early_weight: float) -> Ten
     """Return the sum over the three perceptrons of their mean errors, ``(M, n)``.
 
     Args:
-        beam: What the network says.
-        logs: What it should say, ``(n, 2, 8)``.
-        scale: Scale of the logs, ``(2, 8)``.
+        beam: Prediction of the network.
+        logs: Logarithms of the simulated outputs, ``(n, 2, 8)``.
+        scale: Scale of the logarithms, ``(2, 8)``.
         early_weight: Weight of the beam half-way to the screen.
     """
     planes = torch.tensor([1.0, early_weight])
@@ -116,10 +121,10 @@ def _errors(beam: Beam, logs: Tensor, scale: Tensor, early_weight: float) -> Ten
 
 
 def _robust(differences: Tensor) -> Tensor:
-    """Return the squares of small differences, and of great ones a multiple.
+    """Return an error that is quadratic for small differences and linear for large ones.
 
-    So the rows with much noise of their own do not outweigh the others. (Widths have little noise,
-    and learn better from squares.)
+    So rows with much noise do not outweigh the others. (The widths have little noise, and are
+    learnt better with squares.)
     """
     return 2.0 * _NOISE**2 * (torch.sqrt(1.0 + (differences / _NOISE) ** 2) - 1.0)
 
@@ -129,11 +134,11 @@ def error_table(
 ) -> dict[str, dict[str, float]]:
     """Return median, 95th percentile and maximum of the error of each output.
 
-    Errors are relative, but for the transmission, whose error is absolute.
+    Errors are relative, except for the transmission, whose error is absolute.
 
     Args:
-        predicted: ``(n, 9)``.
-        simulated: ``(n, 9)``.
+        predicted: Outputs of the surrogate, ``(n, 9)``.
+        simulated: Outputs of the simulation, ``(n, 9)``.
     """
     errors = np.abs(predicted - simulated)
     errors[:, :8] /= simulated[:, :8]
@@ -148,7 +153,7 @@ def error_table(
 
 
 def held_out_errors(surrogate: Surrogate, table: Simulations) -> dict[str, Any]:
-    """Return the errors on the held-out rows of a table, over the whole box and in the corner."""
+    """Return the errors on the held-out rows of a table, for the whole box and for the corner."""
     held_out = table.where(table.held_out)
     predicted, simulated = surrogate.predict_array(held_out.inputs), held_out.outputs[:, 0]
     parts = {"box": np.ones(len(held_out), dtype=bool), "corner": held_out.corner}
@@ -159,10 +164,10 @@ def held_out_errors(surrogate: Surrogate, table: Simulations) -> dict[str, Any]:
 
 
 def output_ranges(surrogate: Surrogate) -> dict[str, list[float]]:
-    """Return the least and greatest prediction of each output over the machine's limits.
+    """Return the lowest and highest prediction of each output within the machine's limits.
 
     They are taken over 65 536 space-filling points, half of which lie on random faces and edges of
-    the box, where the extremes are; charge and coupler kick have their usual values.
+    the box, where the extremes are; charge and coupler kick have their defaults.
     """
     settings = [quantity for quantity in INPUTS if quantity.name not in surrogate.defaults]
     points = qmc.Sobol(2 * len(settings), seed=0).random(2**16)
@@ -181,21 +186,27 @@ def output_ranges(surrogate: Surrogate) -> dict[str, list[float]]:
 def train(
     recipe: Recipe, folder: Path, say: Callable[[str], None], file: Path = SIMULATIONS_FILE
 ) -> dict[str, Any]:
-    """Train, and write ``weights.npz`` and ``trained.json`` into ``folder``.
+    """Train the surrogate, and write ``weights.npz`` and ``trained.json``.
+
+    Args:
+        recipe: Settings of the training.
+        folder: Folder to write to.
+        say: Callable that receives progress messages.
+        file: Table of simulations.
 
     Returns:
         The content of ``trained.json``.
 
     Raises:
-        ValueError: If the table has no rows to train with, or none that are held out.
+        ValueError: If the table has no training rows or no held-out rows.
     """
     torch.set_num_threads(1)
     table = Simulations.read(file)
     held_out = table.held_out
     if held_out.all() or not held_out.any():
         raise ValueError(
-            f"{file} must have rows to train with and rows that are held out, and has "
-            f"{(~held_out).sum()} and {held_out.sum()}"
+            f"{file} must have training rows and held-out rows, but has {(~held_out).sum()} and "
+            f"{held_out.sum()}"
         )
     say(f"training {recipe.members} networks on {(~held_out).sum()} rows")
     network = fit(table.where(~held_out), recipe).float()
@@ -216,10 +227,10 @@ def _tensor(values: NDArray[np.float64]) -> Tensor:
 
 
 def tables(content: dict[str, Any]) -> list[str]:
-    """Return the tables of the data card, the ranges of the outputs and the held-out errors.
+    """Return the tables of the data card: the ranges of the outputs and the held-out errors.
 
     Args:
-        content: That of ``trained.json``.
+        content: Content of ``trained.json``.
     """
     ranges = [
         f"| `{q.name}` | {q.unit or '1'} | {low:.4g} to {high:.4g} | {q.meaning} |"
@@ -242,14 +253,22 @@ def tables(content: dict[str, Any]) -> list[str]:
 
 
 def main() -> None:
-    """Train with the recipe from the command line."""
+    """Train with the settings from the command line."""
     parser = argparse.ArgumentParser(description="Train the AWA-like surrogate.")
     usual = Recipe()
-    parser.add_argument("--members", type=int, default=usual.members)
-    parser.add_argument("--steps", type=int, default=usual.steps)
-    parser.add_argument("--seed", type=int, default=usual.seed)
-    parser.add_argument("--folder", type=Path, default=TRAINED_FILE.parent, help="where to write")
-    parser.add_argument("--table", type=Path, default=SIMULATIONS_FILE, help="what to train on")
+    parser.add_argument(
+        "--members", type=int, default=usual.members, help="number of networks in the ensemble"
+    )
+    parser.add_argument(
+        "--steps", type=int, default=usual.steps, help="number of steps of the Adam optimiser"
+    )
+    parser.add_argument("--seed", type=int, default=usual.seed, help="seed of the training")
+    parser.add_argument(
+        "--folder", type=Path, default=TRAINED_FILE.parent, help="folder to write to"
+    )
+    parser.add_argument(
+        "--table", type=Path, default=SIMULATIONS_FILE, help="CSV file with the training data"
+    )
     arguments = parser.parse_args()
     recipe = Recipe(members=arguments.members, steps=arguments.steps, seed=arguments.seed)
     content = train(recipe, arguments.folder, print, arguments.table)

@@ -44,6 +44,10 @@ def hypervolume(points: ArrayLike, reference: ArrayLike) -> float:
 
     Raises:
         ValueError: as `BoxDecomposition`.
+
+    Example:
+        >>> hypervolume([[1.0, 3.0], [2.0, 2.0], [3.0, 1.0]], [4.0, 4.0])
+        6.0
     """
     return BoxDecomposition(reference, points).hypervolume
 

@@ -47,6 +47,10 @@ def is_nondominated(points: ArrayLike) -> BoolArray:
         ValueError: if `points` is not two-dimensional.
 
     Complexity: O(k n P) time for k points on the front, O(n P) memory.
+
+    Example:
+        >>> is_nondominated([[1.0, 3.0], [2.0, 2.0], [2.0, 4.0], [3.0, 1.0]])
+        array([ True,  True, False,  True])
     """
     points = as_points(points, "points")
     mask = np.zeros(len(points), dtype=np.bool_)
@@ -73,7 +77,13 @@ def is_below(points: ArrayLike, reference: ArrayLike) -> BoolArray:
 
 
 def pareto_front(points: ArrayLike, reference: ArrayLike) -> FloatArray:
-    """Return the non-dominated points strictly below the reference point, `(n, P) -> (k, P)`."""
+    """Return the non-dominated points strictly below the reference point, `(n, P) -> (k, P)`.
+
+    Example:
+        >>> pareto_front([[1.0, 3.0], [2.0, 2.0], [2.0, 4.0], [3.0, 1.0]], [4.0, 3.0])
+        array([[2., 2.],
+               [3., 1.]])
+    """
     points = as_points(points, "points", len(np.asarray(reference)))
     below = points[is_below(points, reference)]
     return below[is_nondominated(below)]

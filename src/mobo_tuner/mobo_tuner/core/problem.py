@@ -108,6 +108,19 @@ class Problem:
     """Variables, objectives, constraints and observables, in the order in which they were given.
 
     The field calls it VOCS. Build one with :meth:`from_yaml` or :meth:`from_dict`, which check it.
+
+    Example:
+        >>> problem = Problem.from_dict(
+        ...     {
+        ...         "variables": {"K1": {"min": 400.0, "max": 550.0, "unit": "A"}},
+        ...         "objectives": {"sigma_x": {"reference": 25.0, "unit": "mm"}},
+        ...         "constraints": {"transmission": {"min": 0.98}},
+        ...     }
+        ... )
+        >>> problem.variables[0].maximum
+        550.0
+        >>> problem.constraints[0].is_met(0.95)
+        False
     """
 
     variables: tuple[Variable, ...]
