@@ -47,10 +47,56 @@ def test_arrays_follow_the_order_of_telling() -> None:
         {"f": 0.1, "g": (math.nan, 1.0), "h": 0.1},
     ],
 )
-def test_what_is_not_measured_makes_an_evaluation_invalid(outputs: dict[str, float]) -> None:
-    evaluation = Dataset(PROBLEM).add(MIDDLE, outputs)
-    assert not evaluation.valid
+def test_what_is_not_measured_makes_an_evaluation_incomplete(outputs: dict[str, float]) -> None:
+    data = Dataset(PROBLEM)
+    evaluation = data.add(MIDDLE, outputs)
+    assert not evaluation.complete
     assert not evaluation.feasible
+    # Only where nothing that is required was measured has it failed.
+    assert evaluation.failed == (outputs == {})
+    assert evaluation.valid != evaluation.failed
+    np.testing.assert_array_equal(data.failed, [evaluation.failed])
+
+
+def test_what_the_machine_reports_decides_whether_an_evaluation_failed() -> None:
+    data = Dataset(PROBLEM)
+    data.add(MIDDLE, {"f": 0.1, "g": 2.0, "h": 0.4}, failed=True)
+    data.add(MIDDLE, {}, failed=False)
+    np.testing.assert_array_equal(data.failed, [True, False])
+    np.testing.assert_array_equal(data.feasible, [False, False])
+    np.testing.assert_array_equal(data.column("f"), [math.nan, math.nan])
+
+
+def test_an_evaluation_or_a_diagnostic_is_withdrawn_and_taken_back() -> None:
+    data = Dataset(PROBLEM)
+    for f in (0.1, 0.2):
+        data.add(MIDDLE, {"f": f, "g": 2.0, "h": 0.4})
+    data.forget(0)
+    data.forget(1, "g")
+    np.testing.assert_array_equal(data.column("f"), [math.nan, 0.2])
+    np.testing.assert_array_equal(data.column("g"), [math.nan, math.nan])
+    np.testing.assert_array_equal(data.valid, [False, True])
+    np.testing.assert_array_equal(data.failed, [False, False])
+    np.testing.assert_array_equal(data.complete, [False, False])
+    assert data.withdrawn == [(0, None), (1, "g")]
+    data.unforget(0)
+    data.unforget(1, "g")
+    assert data.feasible.all()
+    assert data.withdrawn == []
+
+
+@pytest.mark.parametrize(
+    ("index", "name", "sentence"),
+    [(2, None, "index is 2"), (-1, None, "index is -1"), (True, None, "index"), (0, "q", "'q'")],
+)
+def test_what_was_never_told_cannot_be_withdrawn(
+    index: int, name: str | None, sentence: str
+) -> None:
+    data = Dataset(PROBLEM)
+    data.add(MIDDLE, {"f": 0.1})
+    for change in (data.forget, data.unforget):
+        with pytest.raises(ProblemError, match=sentence):
+            change(index, name)
 
 
 @pytest.mark.parametrize("value", ["high", (1.0, 2.0, 3.0), object(), ("a", 1.0)])

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mobo_tuner.core.problem import Array, Problem, ProblemError
 
@@ -14,15 +15,27 @@ Measured = float | tuple[float, float]
 """What is told of a diagnostic: its mean, or its mean and standard deviation."""
 
 
+BoolArray = NDArray[np.bool_]
+
+
 @dataclass(frozen=True)
 class Evaluation:
     """One evaluation: where the machine was and what it measured.
 
-    `values` and `stddevs` hold the diagnostics that were told, in their own units; NaN stands for
-    not measured and for an unknown uncertainty. `readbacks` hold where variables were by their own
-    instruments, as far as that was told; where it was, the models learn from it. An evaluation is
-    `valid` when every objective and every constrained diagnostic was measured, `feasible` when it is
-    valid and meets every constraint.
+    Attributes:
+        index: Number of evaluations that were told before.
+        setpoint: Every variable, in physical units.
+        values: Diagnostics that were told, in their own units; NaN where not measured.
+        stddevs: Their standard deviations; NaN where unknown.
+        readbacks: Where variables were by their own instruments, as far as that was told; the models
+            learn from these in place of the set-point's values.
+        reported_failed: What the machine reported; None where it reported nothing and the values decide.
+        failed: Whether the machine reported a failure or, without a report, measured no objective and
+            no constrained diagnostic.
+        complete: Whether every objective and every constrained diagnostic was measured.
+        feasible: Whether it is complete and meets every constraint.
+        forgotten: Whether it was withdrawn as a whole.
+        forgotten_names: Diagnostics that were withdrawn from it.
     """
 
     index: int
@@ -30,8 +43,23 @@ class Evaluation:
     values: Mapping[str, float]
     stddevs: Mapping[str, float]
     readbacks: Mapping[str, float]
-    valid: bool
+    reported_failed: bool | None
+    failed: bool
+    complete: bool
     feasible: bool
+    forgotten: bool = False
+    forgotten_names: frozenset[str] = frozenset()
+
+    @property
+    def valid(self) -> bool:
+        """Whether anything can be learned from it: neither failed nor withdrawn."""
+        return not (self.failed or self.forgotten)
+
+    def value(self, name: str) -> float:
+        """Return one diagnostic as it counts: NaN where not measured, failed or withdrawn."""
+        if not self.valid or name in self.forgotten_names:
+            return math.nan
+        return self.values.get(name, math.nan)
 
 
 class Dataset:
@@ -55,17 +83,20 @@ class Dataset:
         setpoint: Mapping[str, float],
         outputs: Mapping[str, Measured | None],
         readbacks: Mapping[str, float] = {},
+        failed: bool | None = None,
     ) -> Evaluation:
         """Append one evaluation.
 
         Args:
-            setpoint: every variable, in physical units.
-            outputs: diagnostics by name; a pair is (mean, standard deviation); NaN, infinite, None
-                or missing means that it was not measured.
-            readbacks: of some variables, in physical units; one that is not finite is not known.
+            setpoint: Every variable, in physical units.
+            outputs: Diagnostics by name; a pair is (mean, standard deviation); NaN, infinite, None
+                or missing means not measured.
+            readbacks: Some variables' readbacks, in physical units; one that is not finite is not known.
+            failed: Whether the machine reported a failure; None lets the outputs decide: the
+                evaluation failed if no objective and no constrained diagnostic was measured.
 
         Raises:
-            ProblemError: the set-point is not one of the problem's, a readback is of none of its
+            ProblemError: If the set-point is not one of the problem's, a readback is of none of its
                 variables, or an output is not a number.
         """
         self.problem.normalize(setpoint)
@@ -73,21 +104,84 @@ class Dataset:
         x = self.problem.normalize({**setpoint, **known})
         measured = {name: _mean_and_stddev(name, value) for name, value in outputs.items()}
         values = {name: mean for name, (mean, _) in measured.items()}
-        valid = all(
-            math.isfinite(values.get(name, math.nan)) for name in self.problem.required_diagnostics
-        )
-        evaluation = Evaluation(
-            index=len(self.evaluations),
-            setpoint={v.name: float(setpoint[v.name]) for v in self.problem.variables},
-            values=values,
-            stddevs={name: stddev for name, (_, stddev) in measured.items()},
-            readbacks=known,
-            valid=valid,
-            feasible=valid and self.problem.is_feasible(values),
+        if failed is None:
+            required = self.problem.required_diagnostics
+            inferred = not any(math.isfinite(values.get(name, math.nan)) for name in required)
+        else:
+            inferred = bool(failed)
+        evaluation = self._judged(
+            Evaluation(
+                index=len(self.evaluations),
+                setpoint={v.name: float(setpoint[v.name]) for v in self.problem.variables},
+                values=values,
+                stddevs={name: stddev for name, (_, stddev) in measured.items()},
+                readbacks=known,
+                reported_failed=failed,
+                failed=inferred,
+                complete=False,
+                feasible=False,
+            )
         )
         self.evaluations.append(evaluation)
         self._inputs.append(x)
         return evaluation
+
+    def forget(self, index: int, name: str | None = None) -> None:
+        """Withdraw an evaluation, or one diagnostic of it: it counts as never measured.
+
+        Args:
+            index: Index of the evaluation.
+            name: Diagnostic to withdraw; the whole evaluation without it.
+
+        Raises:
+            ProblemError: If there is no such evaluation or it has no such diagnostic.
+        """
+        evaluation = self._evaluation(index, name)
+        if name is None:
+            changed = replace(evaluation, forgotten=True)
+        else:
+            changed = replace(evaluation, forgotten_names=evaluation.forgotten_names | {name})
+        self.evaluations[index] = self._judged(changed)
+
+    def unforget(self, index: int, name: str | None = None) -> None:
+        """Take back what `forget` withdrew: one diagnostic, or all of an evaluation.
+
+        Arguments and errors are those of `forget`.
+        """
+        evaluation = self._evaluation(index, name)
+        if name is None:
+            changed = replace(evaluation, forgotten=False, forgotten_names=frozenset())
+        else:
+            changed = replace(evaluation, forgotten_names=evaluation.forgotten_names - {name})
+        self.evaluations[index] = self._judged(changed)
+
+    @property
+    def withdrawn(self) -> list[tuple[int, str | None]]:
+        """What `forget` was called with and `unforget` has not taken back."""
+        whole: list[tuple[int, str | None]] = [
+            (e.index, None) for e in self.evaluations if e.forgotten
+        ]
+        return whole + [(e.index, n) for e in self.evaluations for n in sorted(e.forgotten_names)]
+
+    def _evaluation(self, index: int, name: str | None) -> Evaluation:
+        """Return an evaluation of which `name` was told."""
+        count = len(self)
+        if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < count:
+            known = f"0 to {count - 1} are allowed" if count else "there is no evaluation yet"
+            raise ProblemError(f"index is {index!r}; {known}")
+        evaluation = self.evaluations[index]
+        if name is not None and name not in evaluation.values:
+            raise ProblemError(
+                f"name is {name!r}; evaluation {index} has {', '.join(evaluation.values) or 'none'}"
+            )
+        return evaluation
+
+    def _judged(self, evaluation: Evaluation) -> Evaluation:
+        """Return the evaluation with what follows from its values."""
+        values = {name: evaluation.value(name) for name in self.problem.required_diagnostics}
+        complete = all(math.isfinite(value) for value in values.values())
+        feasible = complete and self.problem.is_feasible(values)
+        return replace(evaluation, complete=complete, feasible=feasible)
 
     @property
     def inputs(self) -> Array:
@@ -95,13 +189,28 @@ class Dataset:
         return np.array(self._inputs).reshape(len(self), len(self.problem.variables))
 
     @property
-    def valid(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """Which evaluations are valid, shape ``(n,)``."""
+    def failed(self) -> BoolArray:
+        """Which evaluations failed and were not withdrawn, shape ``(n,)``."""
+        return np.array([e.failed and not e.forgotten for e in self.evaluations], dtype=bool)
+
+    @property
+    def forgotten(self) -> BoolArray:
+        """Which evaluations were withdrawn as a whole, shape ``(n,)``."""
+        return np.array([e.forgotten for e in self.evaluations], dtype=bool)
+
+    @property
+    def valid(self) -> BoolArray:
+        """Which evaluations neither failed nor were withdrawn, shape ``(n,)``."""
         return np.array([e.valid for e in self.evaluations], dtype=bool)
 
     @property
-    def feasible(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """Which evaluations are feasible, shape ``(n,)``."""
+    def complete(self) -> BoolArray:
+        """Which evaluations have every objective and constrained diagnostic, shape ``(n,)``."""
+        return np.array([e.complete for e in self.evaluations], dtype=bool)
+
+    @property
+    def feasible(self) -> BoolArray:
+        """Which evaluations are complete and meet every constraint, shape ``(n,)``."""
         return np.array([e.feasible for e in self.evaluations], dtype=bool)
 
     @property
@@ -112,8 +221,8 @@ class Dataset:
         return np.column_stack(columns) * signs if columns else np.empty((len(self), 0))
 
     def column(self, name: str) -> Array:
-        """Values of one diagnostic, in its own unit, shape ``(n,)``; NaN where not measured."""
-        return np.array([e.values.get(name, math.nan) for e in self.evaluations], dtype=float)
+        """Values of one diagnostic, in its own unit, shape ``(n,)``; NaN where it does not count."""
+        return np.array([e.value(name) for e in self.evaluations], dtype=float)
 
     def stddev_column(self, name: str) -> Array:
         """Standard deviations of one diagnostic, shape ``(n,)``; NaN where unknown."""

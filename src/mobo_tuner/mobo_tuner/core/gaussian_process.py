@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -152,16 +153,27 @@ class GaussianProcess:
         self._state = states[int(np.argmax(scores))] if scores else states[0]
         return self
 
+    def copy(self) -> GaussianProcess:
+        """Return a model with the same observations; what it learns later is its own."""
+        other = copy(self)
+        other._trained = dict(self._trained)
+        if self._state is not None:
+            other._state = self._state._replace(posterior=copy(self._state.posterior))
+        return other
+
     def condition(
         self, x: ArrayLike, y: ArrayLike, stddev: ArrayLike | None = None
     ) -> GaussianProcess:
         """Take these observations in place of all former ones, without training; O(n^3).
 
-        Hyperparameters and standardisation stay those of the last `fit`. Arguments and errors are
+        Hyperparameters and standardisation stay those of the last `fit`; only where the logarithm is
+        modelled and an output is not positive, the model is fitted again. Arguments and errors are
         those of `fit`.
         """
         model, posterior, *_ = self._fitted
         inputs, outputs, noise = _checked_data(x, y, stddev, posterior.kernel.d)
+        if model.scaling.log and not (outputs > 0.0).all():
+            return self.fit(inputs, outputs, noise, restarts=0)
         with single_blas_thread():
             self._state = self._condition(posterior.kernel, model, inputs, outputs, noise)
         return self

@@ -1,15 +1,16 @@
-"""The models of a run: a Gaussian process for each objective and each constrained diagnostic, and validity."""
+"""Models of a run: a Gaussian process for each objective and each constrained diagnostic, and validity."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from mobo_tuner.core.dataset import Dataset
+from mobo_tuner.core.dataset import BoolArray, Dataset
 from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
 from mobo_tuner.core.presets import OptimizerSettings
@@ -21,9 +22,10 @@ PriorMean = Callable[[Mapping[str, Array]], Array]
 
 
 class Models:
-    """Independent Gaussian processes over the valid evaluations, [Roussel2021]_ section subsec:MOBO.
+    """Independent Gaussian processes over the evaluations, [Roussel2021]_ section subsec:MOBO.
 
-    Objectives are modelled as they are minimised. A constraint on an objective shares its model.
+    Each learns from the evaluations in which its output was measured. Objectives are modelled as
+    they are minimised. A constraint on an objective shares its model.
 
     Args:
         problem: whose quantities are modelled.
@@ -66,8 +68,10 @@ class Models:
                 )
         self.validity = ValidityModel()
         self._judged = 0  # number of evaluations that the model of validity holds
-        self._trained = 0  # number of valid evaluations at the last training
-        self._held = 0  # number of valid evaluations that the models hold
+        self._trained = 0  # number of evaluations with an output at the last training
+        self._trained_rows = 0  # number of all evaluations at the last training
+        self._held = 0  # number of all evaluations that the models hold
+        self._outdated = False  # whether some of these were withdrawn or taken back
 
     def _mean_function(self, name: str, prior_mean: PriorMean) -> MeanFunction:
         """The prior mean of what is modelled, on normalised inputs."""
@@ -83,13 +87,18 @@ class Models:
 
     @property
     def ready(self) -> bool:
-        """Whether there was any valid evaluation to learn from."""
-        return self._held > 0
+        """Whether there is any output to learn from."""
+        return any(process.n for process in self._processes.values())
 
     @property
-    def trained(self) -> int:
-        """Number of valid evaluations at the last training."""
-        return self._trained
+    def trained_rows(self) -> int:
+        """Number of evaluations, failed ones included, at the last training."""
+        return self._trained_rows
+
+    @property
+    def known(self) -> BoolArray:
+        """Which objectives were measured at least once, shape ``(P,)``."""
+        return np.array([model.n > 0 for model in self.objectives], dtype=bool)
 
     @property
     def objectives(self) -> list[GaussianProcess]:
@@ -97,68 +106,124 @@ class Models:
         return [self._processes[name] for name in self._problem.objective_names]
 
     @property
-    def constraints(self) -> list[tuple[GaussianProcess, float, float]]:
-        """For each constraint its model, and the lower and upper limit of what it models."""
+    def limited(self) -> list[tuple[str, GaussianProcess, float, float]]:
+        """Name, model, lower and upper limit of what it models, of each constraint."""
         limits = []
         for constraint in self._problem.constraints:
             ends = (constraint.minimum, constraint.maximum)
             if self._signs.get(constraint.name, 1.0) < 0.0:
                 ends = (-ends[1], -ends[0])
-            limits.append((self._processes[constraint.name], *ends))
+            limits.append((constraint.name, self._processes[constraint.name], *ends))
         return limits
+
+    @property
+    def constraints(self) -> list[tuple[GaussianProcess, float, float]]:
+        """Model, lower and upper limit of each constraint on what was measured at least once."""
+        return [(model, lower, upper) for _, model, lower, upper in self.limited if model.n]
+
+    def extended(self, data: Dataset) -> Models:
+        """Return models that know all of `data`, with the hyperparameters of the last training.
+
+        These models themselves stay as they are. Without a training so far, the new ones are trained.
+        """
+        if self._held == len(data) and self._trained:
+            return self
+        other = copy(self)
+        other.validity = ValidityModel()
+        other._processes = {name: p.copy() for name, p in self._processes.items()}
+        if self._trained:
+            other._learn(data, train=False, restarts=0)
+        else:
+            other._judged = len(data)
+            other.update(data)
+        return other
 
     def update(self, data: Dataset) -> None:
         """Learn the evaluations that are new, training when it is time to.
 
         What it does depends on `data` and on when it was called before, on nothing else.
         """
-        if len(data) > self._judged:
-            self.validity.fit(data.inputs, data.valid)
+        if len(data) > self._judged or self._outdated:
+            judged = ~data.forgotten
+            self.validity.fit(data.inputs[judged], ~data.failed[judged])
             self._judged = len(data)
-        rows = np.flatnonzero(data.valid)
-        count = len(rows)
-        if count == self._held:
+        count = self._count(data)
+        if count == 0 or (count == self._count(data, self._held) and not self._outdated):
             return
         patience = self._refit_every or 1 + self._trained // 25
-        train = self._trained == 0 or count - self._trained >= patience
-        restarts = None if _is_time_to_restart(self._trained, count) else 0
-        inputs = data.inputs
+        train = self._trained == 0 or self._outdated or count - self._trained >= patience
+        restarts = None if self._outdated or _is_time_to_restart(self._trained, count) else 0
+        self._learn(data, train, restarts)
+        self._outdated = False
+        if train:
+            self._trained, self._trained_rows = count, len(data)
+
+    def _learn(self, data: Dataset, train: bool, restarts: int | None) -> None:
+        """Give every process the rows of its output, by training or one after the other."""
+        count, inputs = self._count(data), data.inputs
         for position, (name, process) in enumerate(self._processes.items()):
             y, stddev = self._observations(name, data)
-            if train:
+            rows = np.flatnonzero(np.isfinite(y))
+            if len(rows) == 0:
+                continue
+            if train or process.n == 0:
                 rng = np.random.default_rng([self._seed, 1, count, position])
                 process.fit(inputs[rows], y[rows], stddev[rows], rng=rng, restarts=restarts)
             else:
-                for row in rows[self._held :]:
+                for row in rows[rows >= self._held]:
                     process.add(inputs[row], float(y[row]), float(stddev[row]))
-        self._held = count
-        if train:
-            self._trained = count
+        self._held = len(data)
+
+    def _count(self, data: Dataset, first: int | None = None) -> int:
+        """Return how many of all or the first evaluations have any of the outputs."""
+        measured = [np.isfinite(data.column(name)[:first]) for name in self._processes]
+        return int(np.count_nonzero(np.any(measured, axis=0)))
+
+    def forget(self, data: Dataset) -> None:
+        """Drop what was withdrawn from `data` and learn what was taken back; `update` trains next."""
+        if self._judged:
+            judged = np.flatnonzero(~data.forgotten[: self._judged])
+            self.validity = ValidityModel()
+            if len(judged):
+                self.validity.fit(data.inputs[judged], ~data.failed[judged])
+        for name, process in self._processes.items():
+            y, stddev = self._observations(name, data)
+            rows = np.flatnonzero(np.isfinite(y[: self._held]))
+            if len(rows) == 0:
+                self._processes[name] = GaussianProcess(process.settings, process.reference)
+            else:
+                learn = process.condition if process.n else process.fit
+                learn(data.inputs[rows], y[rows], stddev[rows])
+        self._outdated = self._judged > 0
 
     def _observations(self, name: str, data: Dataset) -> tuple[Array, Array]:
         """Values as they are modelled and their standard deviations, ``(n,)`` each."""
         return data.column(name) * self._signs.get(name, 1.0), data.stddev_column(name)
 
     def get_state(self) -> dict[str, Any]:
-        """What `set_state` needs beside the data, as plain data."""
+        """Return what `set_state` needs beside the data, as plain data."""
         return {
             "trained": self._trained,
+            "trained_rows": self._trained_rows,
             "held": self._held,
             "judged": self._judged,
+            "outdated": self._outdated,
             "validity": self.validity.get_state(),
             "processes": {name: p.get_state() for name, p in self._processes.items()},
         }
 
     def set_state(self, state: dict[str, Any], data: Dataset) -> None:
-        """Be as the models that `get_state` came from, given the data that they had learned from."""
-        self._trained, self._held = state["trained"], state["held"]
-        self._judged = state["judged"]
+        """Become the models that `get_state` came from, given the data that they had learned from."""
+        self._trained, self._trained_rows = state["trained"], state["trained_rows"]
+        self._held, self._judged = state["held"], state["judged"]
+        self._outdated = state["outdated"]
+        judged = np.flatnonzero(~data.forgotten[: self._judged])
         self.validity = ValidityModel.from_state(
-            state["validity"], data.inputs[: self._judged], data.valid[: self._judged]
+            state["validity"], data.inputs[judged], ~data.failed[judged]
         )
-        rows = np.flatnonzero(data.valid)[: self._held]
         for name in self._processes:
             y, stddev = self._observations(name, data)
+            rows = np.flatnonzero(np.isfinite(y[: self._held]))
             self._processes[name] = GaussianProcess.from_state(
                 state["processes"][name],
                 data.inputs[rows],

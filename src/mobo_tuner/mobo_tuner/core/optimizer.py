@@ -23,14 +23,15 @@ from mobo_tuner.core.acquisition import (
     UpperConfidenceBoundHypervolumeImprovement,
 )
 from mobo_tuner.core.acquisition_optimizer import Maximizer, MultiStart, ParticleSwarm
+from mobo_tuner.core.belief import Belief, believe, is_certain
+from mobo_tuner.core.belief import measured as _measured
 from mobo_tuner.core.constraints import ProbabilityOfFeasibility, ValidityWeight
-from mobo_tuner.core.dataset import Dataset, Evaluation, Measured
+from mobo_tuner.core.dataset import BoolArray, Dataset, Evaluation, Measured
 from mobo_tuner.core.focus import around, choose_on_front
-from mobo_tuner.core.hypervolume import BoxDecomposition
+from mobo_tuner.core.hypervolume import BoxDecomposition, hypervolume
 from mobo_tuner.core.initial_design import initial_design
 from mobo_tuner.core.linear_algebra import single_blas_thread
 from mobo_tuner.core.models import Models, PriorMean
-from mobo_tuner.core.pareto import is_below, is_nondominated
 from mobo_tuner.core.predicted_front import predict_front
 from mobo_tuner.core.presets import OptimizerSettings, make_settings
 from mobo_tuner.core.problem import Array, Problem, ProblemError
@@ -39,7 +40,7 @@ from mobo_tuner.core.scalarisation import WeightedSum
 
 Source = Literal["initial", "model"]
 
-STATE_VERSION = 1
+STATE_VERSION = 2
 # A failed set-point is not proposed again within 1 % of every variable's range.
 FAILED_TOLERANCE = 0.02
 _EXPLORED = 1024  # quasi-random points among which exploration chooses
@@ -89,8 +90,10 @@ class Optimizer:
         self._prior_means = prior_means
         self._models = Models(problem, self.settings, seed, prior_means)
         self._boxes = BoxDecomposition(problem.reference_point)
-        self._packed = 0  # number of valid evaluations when the boxes were last built anew
+        self._packed = 0  # number of evaluations when the boxes were last built again
         self._hypervolume = 0.0
+        self._belief: Belief | None = None  # of all that was told, once it was needed
+        self._believed_hypervolume: float | None = None
         self._last_source: Source = "initial"
 
     @property
@@ -105,47 +108,136 @@ class Optimizer:
 
     @property
     def hypervolume(self) -> float:
-        """Of the front against the reference point, in the product of the objectives' units."""
+        """Hypervolume of the front against the reference point, in the product of the objectives' units.
+
+        It is that of what is believed: readings where they can be trusted, else the models' means.
+        """
+        if is_certain(self.dataset):
+            return self._hypervolume
+        if self._believed_hypervolume is None:
+            belief = self._believed()
+            self._believed_hypervolume = hypervolume(
+                belief.objectives[belief.front_rows()], self.problem.reference_point
+            )
+        return self._believed_hypervolume
+
+    @property
+    def hypervolume_measured(self) -> float:
+        """Hypervolume of the complete readings as they are, as for `hypervolume`."""
         return self._hypervolume
 
-    def pareto_front(self) -> list[dict[str, Any]]:
-        """Index, set-point and objectives of each point of the front, in their own units.
+    def pareto_front(self, measured: bool = False) -> list[dict[str, Any]]:
+        """Return the points that are feasible, non-dominated and strictly better than the reference point.
 
-        Its points are feasible, non-dominated and strictly better than the reference point.
+        Args:
+            measured: Whether to take complete readings as they are, in place of what is believed.
+
+        Returns:
+            For each point `index`, `setpoint`, `objectives` and their `stddevs`, in their own units,
+            and `predicted`, the names of the objectives that were not measured there.
         """
-        return [
-            {
-                "index": evaluation.index,
-                "setpoint": dict(evaluation.setpoint),
-                "objectives": {n: evaluation.values[n] for n in self.problem.objective_names},
-            }
-            for evaluation in (self.dataset.evaluations[i] for i in self._front_rows())
-        ]
+        belief = _measured(self.dataset) if measured else self._believed()
+        names = self.problem.objective_names
+        signs = np.array([o.sign for o in self.problem.objectives])
+        front = []
+        for row in belief.front_rows():
+            evaluation = self.dataset.evaluations[row]
+            values = (signs * belief.objectives[row]).tolist()
+            front.append(
+                {
+                    "index": evaluation.index,
+                    "setpoint": dict(evaluation.setpoint),
+                    "objectives": dict(zip(names, values, strict=True)),
+                    "stddevs": dict(zip(names, belief.stddevs[row].tolist(), strict=True)),
+                    "predicted": [
+                        n for n, p in zip(names, belief.predicted[row], strict=True) if p
+                    ],
+                }
+            )
+        return front
 
     def tell(
         self,
         setpoint: Mapping[str, float],
         outputs: Mapping[str, Measured | None],
         readbacks: Mapping[str, float] = {},
+        failed: bool | None = None,
     ) -> Evaluation:
         """Learn what was measured at a set-point, which need not have been asked for.
 
         Args:
-            setpoint: every variable, in physical units.
-            outputs: diagnostics by name; a pair is (mean, standard deviation); NaN, None or missing
-                means that it was not measured, and the evaluation failed where it was needed.
-            readbacks: of some or all variables, in physical units: where the machine was while it
+            setpoint: Every variable, in physical units.
+            outputs: Diagnostics by name; a pair is (mean, standard deviation); NaN, None or missing
+                means not measured: what was measured is learned all the same.
+            readbacks: Some or all variables, in physical units: where the machine was while it
                 measured. The models learn from them in place of the set-point's values.
+            failed: Whether the machine reported a failure; None lets the outputs decide: the
+                evaluation failed if no objective and no constrained diagnostic was measured.
 
         Raises:
-            ProblemError: the set-point or a readback does not fit the problem, or an output is no
-                number; nothing is learned.
+            ProblemError: If the set-point or a readback does not fit the problem, or an output is not
+                a number; nothing is learned.
         """
-        evaluation = self.dataset.add(setpoint, outputs, readbacks)
+        evaluation = self.dataset.add(setpoint, outputs, readbacks, failed)
+        self._forget_belief()
         if evaluation.feasible:
-            # A sum of what was gained never falls, unlike a volume computed anew, by its last digit.
-            self._hypervolume += self._boxes.add(self.dataset.objectives[-1])
+            # A sum of gains never falls, unlike a volume computed again, by its last digit.
+            self._hypervolume += self._boxes.add(self._minimised(evaluation))
         return evaluation
+
+    def forget(self, index: int, name: str | None = None) -> None:
+        """Withdraw an evaluation, or one diagnostic of it, as if it had never been measured.
+
+        Args:
+            index: Index of the evaluation.
+            name: Diagnostic to withdraw; the whole evaluation without it.
+
+        Raises:
+            ProblemError: If there is no such evaluation or it has no such diagnostic.
+        """
+        self.dataset.forget(index, name)
+        self._learn_again()
+
+    def unforget(self, index: int, name: str | None = None) -> None:
+        """Take back what `forget` withdrew: one diagnostic, or all of an evaluation.
+
+        Arguments and errors are those of `forget`.
+        """
+        self.dataset.unforget(index, name)
+        self._learn_again()
+
+    def _learn_again(self) -> None:
+        """Follow a change of what was told before."""
+        self._forget_belief()
+        with single_blas_thread():
+            self._models.forget(self.dataset)
+        self._boxes = BoxDecomposition(self.problem.reference_point)
+        self._packed = 0
+        self._hypervolume = sum(
+            self._boxes.add(self._minimised(e)) for e in self.dataset.evaluations if e.feasible
+        )
+
+    def _minimised(self, evaluation: Evaluation) -> Array:
+        """Return the objectives of a complete evaluation as they are minimised, shape ``(P,)``."""
+        return np.array([o.sign * evaluation.values[o.name] for o in self.problem.objectives])
+
+    def _believed(self) -> Belief:
+        """Return what is believed of the evaluations so far."""
+        if self._belief is None:
+            if is_certain(self.dataset):
+                self._belief = _measured(self.dataset)
+            else:
+                with single_blas_thread():
+                    models = self._models.extended(self.dataset)
+                    self._belief = believe(self.dataset, models)
+        return self._belief
+
+    def _forget_belief(self) -> None:
+        self._belief = self._believed_hypervolume = None
+
+    def _update_models(self) -> None:
+        self._models.update(self.dataset)
+        self._forget_belief()
 
     def ask(self) -> dict[str, float]:
         """The set-point to evaluate next, in physical units and inside the bounds."""
@@ -163,7 +255,7 @@ class Optimizer:
         So a run is lived through again without the time that its suggestions took.
         """
         if len(self.dataset) >= self.initial_evaluations:
-            self._models.update(self.dataset)
+            self._update_models()
             if self._models.ready:
                 self._acquisition_function()
 
@@ -237,7 +329,7 @@ class Optimizer:
         models = Models(self.problem, self.settings, self.seed, self._prior_means)
         models.update(self.dataset)
         rng = np.random.default_rng([self.seed, 3, len(self.dataset)])
-        known = self.dataset.inputs[self._front_rows()]
+        known = self.dataset.inputs[self._believed().front_rows()]
         front = predict_front(self.problem, models, known, rng, size)
         signs = [o.sign for o in self.problem.objectives]
         names = self.problem.objective_names
@@ -251,9 +343,11 @@ class Optimizer:
         ]
 
     def _tell_all_to(self, other: Optimizer) -> None:
-        for evaluation in self.dataset.evaluations:
-            outputs = {n: (v, evaluation.stddevs[n]) for n, v in evaluation.values.items()}
-            other.tell(evaluation.setpoint, outputs, evaluation.readbacks)
+        for e in self.dataset.evaluations:
+            outputs = {n: (v, e.stddevs[n]) for n, v in e.values.items()}
+            other.tell(e.setpoint, outputs, e.readbacks, e.reported_failed)
+        for index, name in self.dataset.withdrawn:
+            other.forget(index, name)
 
     # ------------------------------------------------------------------ state
 
@@ -271,6 +365,7 @@ class Optimizer:
             "seed": self.seed,
             "hypervolume": self._hypervolume,
             "models": self._models.get_state(),
+            "forgotten": [list(each) for each in self.dataset.withdrawn],
         }
         if with_evaluations:
             state["evaluations"] = [
@@ -278,6 +373,7 @@ class Optimizer:
                     "setpoint": dict(e.setpoint),
                     "outputs": {n: [v, e.stddevs[n]] for n, v in e.values.items()},
                     "readbacks": dict(e.readbacks),
+                    "failed": e.reported_failed,
                 }
                 for e in self.dataset.evaluations
             ]
@@ -309,7 +405,14 @@ class Optimizer:
             )
             for evaluation in state["evaluations"]:
                 outputs = {n: (pair[0], pair[1]) for n, pair in evaluation["outputs"].items()}
-                restored.tell(evaluation["setpoint"], outputs, evaluation.get("readbacks", {}))
+                restored.tell(
+                    evaluation["setpoint"],
+                    outputs,
+                    evaluation.get("readbacks", {}),
+                    evaluation.get("failed"),
+                )
+            for index, name in state["forgotten"]:
+                restored.forget(index, name)
             restored._hypervolume = float(state["hypervolume"])
             restored._models.set_state(state["models"], restored.dataset)
         except KeyError as error:
@@ -354,18 +457,18 @@ class Optimizer:
 
     def _candidate(self) -> Array:
         """The maximum of the acquisition function, shape ``(d,)``; exploration where it is zero."""
-        self._models.update(self.dataset)
+        self._update_models()
         d = len(self.problem.variables)
         rng = np.random.default_rng([self.seed, 2, len(self.dataset)])
-        inputs, valid = self.dataset.inputs, self.dataset.valid
+        inputs = self.dataset.inputs
         if self._models.ready:
             maximizer: Maximizer = _MAXIMIZERS[self.settings.maximizer]()
             maximum = maximizer.maximize(
                 self._acquisition_function(),
                 d,
                 rng,
-                starts=inputs[self._front_rows()],
-                excluded=inputs[~valid],
+                starts=inputs[self._believed().front_rows()],
+                excluded=inputs[self.dataset.failed],
                 tolerance=FAILED_TOLERANCE,
                 seconds=self.settings.suggestion_seconds,
             )
@@ -380,53 +483,54 @@ class Optimizer:
             for model, lower, upper in self._models.constraints
         ]
         # Without a feasible point there is no front to improve: feasibility comes first.
-        if not factors or self.dataset.feasible.any():
-            factors.insert(0, self._improvement())
-        if not self.dataset.valid.all():
+        known = self._models.known
+        if known.any() and (not factors or self._believed().feasible.any()):
+            factors.insert(0, self._improvement(known))
+        if self.dataset.failed.any():
             factors.append(ValidityWeight(self._models.validity))
         if self.settings.proximal is not None:
             factors.append(ProximalBiasing(self.dataset.inputs[-1], self._precision()))
         return reduce(mul, factors)
 
-    def _improvement(self) -> AcquisitionFunction:
-        settings, models = self.settings, self._models.objectives
+    def _improvement(self, known: BoolArray) -> AcquisitionFunction:
+        """Return the acquisition function of the objectives that were measured at least once."""
+        settings = self.settings
+        models = [m for m, is_known in zip(self._models.objectives, known, strict=True) if is_known]
+        reference = self.problem.reference_point[known]
+        belief = self._believed()
         if settings.acquisition in ("ei", "ucb"):
-            weights = np.array(settings.weights or (1.0,))
+            weights = np.array(settings.weights or (1.0,))[known]
             model = models[0] if len(models) == 1 else WeightedSum(models, weights)
-            sums = self.dataset.objectives[self.dataset.feasible] @ weights
-            if settings.acquisition == "ei":
-                best = (
-                    float(sums.min())
-                    if len(sums)
-                    else float(self.problem.reference_point @ weights)
-                )
-                return ExpectedImprovement(model, best)
-            return UpperConfidenceBound(
-                model, settings.beta, float(self.problem.reference_point @ weights)
-            )
-        lower = self.problem.truncation_lower
-        truncation = (lower, self.problem.reference_point) if np.isfinite(lower).any() else None
+            worst = float(reference @ weights)
+            if settings.acquisition == "ucb":
+                return UpperConfidenceBound(model, settings.beta, worst)
+            sums = belief.objectives[belief.feasible][:, known] @ weights
+            return ExpectedImprovement(model, float(sums.min()) if len(sums) else worst)
+        lower = self.problem.truncation_lower[known]
+        truncation = (lower, reference) if np.isfinite(lower).any() else None
         self._build_boxes()
+        boxes = self._boxes
+        if not is_certain(self.dataset):
+            boxes = BoxDecomposition(reference, belief.objectives[belief.feasible][:, known])
         if settings.acquisition == "ehvi":
-            return ExpectedHypervolumeImprovement(models, self._boxes, truncation)
-        return UpperConfidenceBoundHypervolumeImprovement(
-            models, self._boxes, settings.beta, truncation
-        )
+            return ExpectedHypervolumeImprovement(models, boxes, truncation)
+        return UpperConfidenceBoundHypervolumeImprovement(models, boxes, settings.beta, truncation)
 
     def _build_boxes(self) -> None:
-        """Build the boxes anew when the models were trained.
+        """Build the boxes of the readings again when the models were trained.
 
         In between they grow, which is slower to sum over but spares the time. What they are depends
         on the data and the last training only, so that a restored optimiser has the same.
         """
-        trained = self._models.trained
+        trained = self._models.trained_rows
         if self._packed == trained:
             return
         feasible = np.flatnonzero(self.dataset.feasible)
-        rows = feasible[feasible <= np.flatnonzero(self.dataset.valid)[trained - 1]]
-        self._boxes = BoxDecomposition(self.problem.reference_point, self.dataset.objectives[rows])
+        objectives = self.dataset.objectives
+        rows = feasible[feasible < trained]
+        self._boxes = BoxDecomposition(self.problem.reference_point, objectives[rows])
         for row in feasible[len(rows) :]:
-            self._boxes.add(self.dataset.objectives[row])
+            self._boxes.add(objectives[row])
         self._packed = trained
 
     def _precision(self) -> ArrayLike:
@@ -435,14 +539,6 @@ class Optimizer:
             return np.array([v.cost for v in self.problem.variables])
         precision: ArrayLike = self.settings.proximal
         return precision
-
-    def _front_rows(self) -> list[int]:
-        """Indices of the evaluations on the front."""
-        rows = np.flatnonzero(self.dataset.feasible)
-        objectives = self.dataset.objectives[rows]
-        below = is_below(objectives, self.problem.reference_point)
-        rows, objectives = rows[below], objectives[below]
-        return [int(i) for i in rows[is_nondominated(objectives)]]
 
     def _check_settings(self) -> None:
         """Refuse settings that do not suit the problem."""

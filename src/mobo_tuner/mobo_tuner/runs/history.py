@@ -120,11 +120,8 @@ class History:
 def told_outputs(
     problem: Problem, diagnostics: Mapping[str, tuple[float, float]], error_code: int
 ) -> dict[str, Measured | None]:
-    """What the diagnostics of an evaluation teach; one that failed must not pass for a valid one."""
-    needed = problem.required_diagnostics
-    unknown = (math.nan, math.nan)
-    whole = all(math.isfinite(diagnostics.get(name, unknown)[0]) for name in needed)
-    hidden = needed if error_code and whole else ()
+    """What the diagnostics of an evaluation teach; those of a failed one teach nothing."""
+    hidden = problem.required_diagnostics if error_code else ()
     return {name: pair for name, pair in diagnostics.items() if name not in hidden}
 
 

@@ -1,0 +1,154 @@
+"""What a run believes: incomplete evaluations count for what they measured, and the models say the rest."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import moocore
+import numpy as np
+import pytest
+
+from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.core.belief import believe, is_certain, measured
+from mobo_tuner.core.dataset import Dataset
+from mobo_tuner.core.models import Models
+from mobo_tuner.core.presets import OptimizerSettings
+
+REFERENCE = 3.0
+Machine = Callable[[int, dict[str, float]], Mapping[str, Any]]
+
+
+def problem(*objectives: str, **more: Any) -> Problem:
+    return Problem.from_dict(
+        {
+            "variables": {name: {"min": -2.0, "max": 2.0} for name in "xy"},
+            "objectives": {name: {"reference": REFERENCE} for name in objectives},
+            **more,
+        }
+    )
+
+
+def truth(x: float, y: float) -> dict[str, float]:
+    """Distances to two points, and to the line x = 0."""
+    return {
+        "f": math.hypot(x - 1.0, y - 1.0),
+        "g": math.hypot(x + 1.0, y + 1.0),
+        "h": abs(x),
+    }
+
+
+def whole(_: int, outputs: dict[str, float]) -> Mapping[str, Any]:
+    return outputs
+
+
+def every_second_g(i: int, outputs: dict[str, float]) -> Mapping[str, Any]:
+    return {name: value for name, value in outputs.items() if name != "g" or i % 2 == 0}
+
+
+def tune(optimizer: Optimizer, evaluations: int, machine: Machine = whole) -> Optimizer:
+    for _ in range(evaluations):
+        setpoint = optimizer.ask()
+        optimizer.tell(setpoint, machine(len(optimizer.dataset), truth(**setpoint)))
+    return optimizer
+
+
+def true_hypervolume(optimizer: Optimizer) -> float:
+    """Hypervolume of the true values at the reported front."""
+    names = optimizer.problem.objective_names
+    values = [[truth(**p["setpoint"])[n] for n in names] for p in optimizer.pareto_front()]
+    return float(moocore.hypervolume(np.array(values), ref=[REFERENCE] * len(names)))
+
+
+def test_what_was_not_measured_is_predicted_and_the_front_says_so() -> None:
+    optimizer = tune(Optimizer(problem("f", "g"), seed=0), 20, every_second_g)
+    assert not optimizer.dataset.failed.any()
+    front = optimizer.pareto_front()
+    for point in front:
+        missing = ["g"] if point["index"] % 2 else []
+        assert point["predicted"] == missing
+        assert [n for n, s in point["stddevs"].items() if s > 0.0] == missing
+        exact = truth(**point["setpoint"])
+        assert point["objectives"]["f"] == exact["f"]
+        assert point["objectives"]["g"] == pytest.approx(exact["g"], abs=0.1)
+    assert any(point["predicted"] for point in front)
+    assert all(p["index"] % 2 == 0 for p in optimizer.pareto_front(measured=True))
+    assert optimizer.hypervolume_measured < optimizer.hypervolume
+    assert optimizer.hypervolume == pytest.approx(true_hypervolume(optimizer), rel=0.01)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_half_measured_evaluations_are_worth_half_as_many_whole_ones(seed: int) -> None:
+    full = tune(Optimizer(problem("f", "g"), seed=seed), 16)
+    half = tune(Optimizer(problem("f", "g"), seed=seed), 32, every_second_g)
+    assert true_hypervolume(half) >= 0.99 * full.hypervolume
+
+
+@pytest.mark.parametrize(
+    "gained", [problem("f", "g", "h"), problem("f", "g", constraints={"h": {"max": 0.5}})]
+)
+def test_a_problem_that_gains_a_quantity_continues_from_what_there_is(gained: Problem) -> None:
+    def without_h(_: int, outputs: dict[str, float]) -> Mapping[str, Any]:
+        return {"f": outputs["f"], "g": outputs["g"]}
+
+    first = tune(Optimizer(problem("f", "g"), seed=1), 14, without_h)
+    grown = first.with_problem(gained)
+    assert not grown.dataset.failed.any()
+    assert grown.hypervolume == 0.0  # nothing is known of h yet
+    tune(grown, 10)
+    fresh = tune(Optimizer(gained, seed=1), 10)
+    assert true_hypervolume(grown) > true_hypervolume(fresh)
+
+
+def test_an_output_that_is_never_measured_does_not_end_the_search() -> None:
+    optimizer = tune(Optimizer(problem("f", "g", "lost"), initial_evaluations=4), 12)
+    assert optimizer.pareto_front() == []
+    values = np.array([[e.values[n] for n in "fg"] for e in optimizer.dataset.evaluations])
+    assert moocore.hypervolume(values, ref=[REFERENCE] * 2) > 4.0
+
+
+def test_a_restored_optimizer_believes_and_asks_the_same() -> None:
+    original = tune(Optimizer(problem("f", "g"), seed=3), 15, every_second_g)
+    original.forget(2)
+    original.forget(4, "f")
+    for _ in range(2):  # with the withdrawal still to be learned, and afterwards
+        restored = Optimizer.from_state(json.loads(json.dumps(original.get_state())))
+        assert restored.hypervolume == original.hypervolume
+        assert restored.pareto_front() == original.pareto_front()
+        assert restored.ask() == original.ask()
+
+
+def test_with_every_reading_there_the_belief_is_what_was_measured() -> None:
+    data = Dataset(problem("f", "g"))
+    for x in np.linspace(-1.5, 1.5, 5):
+        data.add({"x": x, "y": x}, truth(x, x))
+    data.add({"x": 0.0, "y": 1.0}, {}, failed=True)
+    models = Models(data.problem, OptimizerSettings(), 0)
+    models.update(data)
+    assert is_certain(data)
+    believed, read = believe(data, models), measured(data)
+    np.testing.assert_array_equal(believed.objectives, read.objectives)
+    np.testing.assert_array_equal(believed.feasible, read.feasible)
+    np.testing.assert_array_equal(believed.front_rows(), read.front_rows())
+
+
+def test_extended_models_leave_the_original_as_it_was() -> None:
+    data = Dataset(problem("f", "g"))
+    settings = OptimizerSettings(refit_every=100)
+    models, continued = (Models(data.problem, settings, 0) for _ in range(2))
+    points = np.random.default_rng(0).uniform(-2.0, 2.0, (8, 2))
+    for i, (x, y) in enumerate(points):
+        data.add({"x": x, "y": y}, truth(x, y))
+        if i == 4:
+            models.update(data)
+            continued.update(data)
+    before = [model.predict(np.zeros((1, 2))) for model in models.objectives]
+    extended = models.extended(data)
+    assert [model.predict(np.zeros((1, 2))) for model in models.objectives] == before
+    assert [model.n for model in models.objectives] == [5, 5]
+    continued.update(data)
+    for mine, other in zip(extended.objectives, continued.objectives, strict=True):
+        assert mine.n == other.n == 8
+        np.testing.assert_array_equal(mine.predict(points)[0], other.predict(points)[0])
