@@ -15,7 +15,7 @@ PACKAGE = Path(mobo_tuner.__file__).parent
 SIMULATOR = Path(awa_sim_node.__file__).parent
 ROS_PACKAGES = ("rclpy", "rcl_interfaces", "mobo_msgs_py", "std_msgs", "builtin_interfaces")
 # From the bottom to the top: each imports itself and those before it.
-LAYERS = ("core", "ros", "machine", "bridge", "runs", "tuner", "displays", "nodes")
+LAYERS = ("core", "ros", "machine", "bridge", "runs", "tuner", "client", "displays", "nodes")
 WITHOUT_ROS = ("core", "runs")
 
 

@@ -1,0 +1,394 @@
+"""The way to one tuner: its services, actions and topics, used by threads that may block."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import secrets
+import time
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
+from functools import partial
+from typing import Any, Protocol
+
+import rclpy
+from action_msgs.srv import CancelGoal
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rclpy.action import ActionClient
+from rclpy.context import Context
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from mobo_msgs_py import msg
+from mobo_msgs_py.action import GoToWorkingPoint, Tune
+from mobo_msgs_py.srv import Ask, ListWorkingPoints, QueueSetpoint, Tell
+from mobo_tuner.client.values import ErrorCode, TunerError
+from mobo_tuner.ros.executor_thread import ExecutorThread
+from mobo_tuner.ros.qos import KEPT, LATCHED
+
+SILENCE_TIMEOUT = 5.0  # [s] without a status, which comes at 1 Hz, after which the tuner is lost
+RESTART_TIMEOUT = 2.0  # [s] without a status, after which it may be another tuner that speaks
+PROBE_TIMEOUT = 1.0  # [s] for an answer to what is asked to find out whether answers come
+CLOSE_TIMEOUT = 5.0  # [s] for what is canceled at the end
+POLL_PERIOD = 0.05  # [s]
+
+SERVICES: Mapping[str, type] = {
+    "pause": Trigger,
+    "resume": Trigger,
+    "step": Trigger,
+    "skip": Trigger,
+    "stop_after_this": Trigger,
+    "queue_setpoint": QueueSetpoint,
+    "list_working_points": ListWorkingPoints,
+    "ask": Ask,
+    "tell": Tell,
+    "tuner/get_parameters": GetParameters,
+    "tuner/set_parameters_atomically": SetParametersAtomically,
+    "go_to_working_point/_action/cancel_goal": CancelGoal,
+}
+PROBE = "tune/_action/cancel_goal"
+ACTIONS: Mapping[str, type] = {"tune": Tune, "go_to_working_point": GoToWorkingPoint}
+RUN_TOPICS: Mapping[str, type] = {
+    "problem": msg.Problem,
+    "pareto_front": msg.ParetoFront,
+    "evaluation": msg.Evaluation,
+}
+
+Inbox = queue.SimpleQueue[Callable[[], object] | None]
+"""What a waiting thread is to call; None only wakes it."""
+
+
+class Listener(Protocol):
+    """Takes the messages of the tuner's topics, on the executor's thread."""
+
+    def take(self, topic: str, message: Any) -> None:
+        """Take a message."""
+
+
+class Connection:
+    """The way to one tuner.
+
+    Args:
+        namespace: Namespace of the tuner, relative to that of the node.
+        domain_id: ROS domain; None for that of the environment. Not used with `node`.
+        node: Node to use; None for one of its own, on an executor and thread of its own.
+        executor: Executor that spins `node`; None for the one to which it was added.
+        timeout: Time for the tuner to appear, and to answer what is quick [s].
+
+    Attributes:
+        status: Status that the tuner published last.
+    """
+
+    def __init__(
+        self,
+        namespace: str,
+        *,
+        domain_id: int | None,
+        node: Node | None,
+        executor: Executor | None,
+        timeout: float,
+    ) -> None:
+        self._namespace = namespace.rstrip("/")
+        self._timeout = timeout
+        self._context: Context | None = None
+        if node is None:
+            self._context = Context()
+            rclpy.init(context=self._context, domain_id=domain_id)
+            node = Node(
+                f"tuner_client_{os.getpid()}_{secrets.token_hex(4)}",
+                context=self._context,
+                use_global_arguments=False,
+                enable_rosout=False,
+                start_parameter_services=False,
+            )
+            executor = SingleThreadedExecutor(context=self._context)
+            executor.add_node(node)
+        executor = executor or node.executor
+        if executor is None:
+            raise ValueError("the node is on no executor: add it to one, or name the executor")
+        self.status = msg.TunerStatus()
+        self._node = node
+        self._heard: float | None = None  # when the tuner spoke last, by `time.monotonic` [s]
+        self._met = (
+            False  # whether the tuner is known to get this client's questions and answer them
+        )
+        self._services: dict[str, Any] = {}
+        self._actions: dict[str, ActionClient] = {}
+        self._subscriptions: dict[str, Any] = {}
+        self._listeners: list[Listener] = []
+        self._goals: list[_Goal] = []
+        self._closed = False
+        self._executor = ExecutorThread(executor, spin=self._context is not None)
+        self._made = self._executor.post(self._make)
+
+    def connect(self, timeout: float | None = None, goal: _Goal | None = None) -> None:
+        """Wait until the tuner is there and knows this client.
+
+        Args:
+            timeout: Longest wait [s]; None for that of the connection.
+            goal: Goal for which it is done, if any.
+
+        Raises:
+            TunerError: If no tuner is heard, or the goal is canceled.
+        """
+        if self._executor.is_current:
+            raise RuntimeError("a TunerClient blocks; do not call it on the executor's thread")
+        if self._closed:
+            raise RuntimeError("this TunerClient is closed")
+        try:
+            self._made.result(self._timeout)
+        except TimeoutError:
+            raise RuntimeError("the executor of the given node does not spin") from None
+        timeout = self._timeout if timeout is None else timeout
+        domain = self._node.context.get_domain_id()
+        self._until(
+            lambda: not self._silent,
+            timeout,
+            f"no tuner was heard on '{self._resolved('status')}' within {timeout:g} s "
+            f"in ROS domain {domain}",
+            goal,
+        )
+        if not self._met:
+            self._meet(timeout, goal)
+
+    def close(self) -> None:
+        """Cancel what is going on for this client, and release everything."""
+        if self._closed:
+            return
+        self.cancel()
+        deadline = time.monotonic() + CLOSE_TIMEOUT
+        while self._goals and not self._executor.is_current and time.monotonic() < deadline:
+            time.sleep(POLL_PERIOD)
+        self._closed = True
+        if self._context is None:
+            self._executor.post(self._destroy)
+            return
+        self._executor.close()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def call(self, name: str, request: Any, timeout: float | None = None) -> Any:
+        """Return the answer of a service.
+
+        Args:
+            name: Name of the service.
+            request: Request of its type.
+            timeout: Longest wait for the answer [s]; None for that of the connection.
+
+        Raises:
+            TunerError: If the tuner is not there or does not answer.
+        """
+        self.connect()
+        client = self._services[name]
+        self._ready(client.service_is_ready, name)
+        answer = self._executor.start(lambda: client.call_async(request))
+        return self._wait(answer, name, self._timeout if timeout is None else timeout)
+
+    def pursue(self, name: str, goal: Any, inbox: Inbox, on_feedback: Callable[[Any], None]) -> Any:
+        """Send a goal and return its result; meanwhile, call what is in the inbox.
+
+        An error in what is called, Ctrl-C included, cancels the goal and is raised once it ended.
+
+        Args:
+            name: Name of the action.
+            goal: Goal of its type.
+            inbox: Calls to be made on this thread.
+            on_feedback: Gets the feedback, on the executor's thread.
+
+        Raises:
+            TunerError: If the tuner is not there, refuses the goal, or falls silent.
+        """
+        pursuit = _Goal(self._executor)
+        self._goals.append(pursuit)
+        finished: Future[Any] | None = None
+        try:
+            self.connect(goal=pursuit)
+            client = self._actions[name]
+            self._ready(client.server_is_ready, name, pursuit)
+            sent = self._executor.start(
+                lambda: client.send_goal_async(goal, lambda message: on_feedback(message.feedback))
+            )
+            sent.add_done_callback(pursuit.answered)
+            handle = self._wait(sent, name, self._timeout)
+            if not handle.accepted:
+                raise TunerError(ErrorCode.REFUSED, "the tuner refused the goal")
+            finished = self._executor.start(handle.get_result_async)
+            finished.add_done_callback(lambda _: inbox.put(None))
+            while not finished.done():
+                self.serve(inbox)
+            return finished.result().result
+        except BaseException:
+            pursuit.cancel()
+            if finished is not None:
+                with contextlib.suppress(TunerError):  # the first error counts
+                    self._wait(finished, name, float("inf"))
+            raise
+        finally:
+            self._goals.remove(pursuit)
+
+    def cancel(self) -> None:
+        """Ask to cancel every goal that is pursued now, without waiting."""
+        for goal in list(self._goals):
+            goal.cancel()
+
+    @contextlib.contextmanager
+    def listening(self, listener: Listener) -> Iterator[None]:
+        """Hand a listener the messages of all topics."""
+        self.connect()
+        self._executor.call(self._subscribe_to_runs)
+        self._listeners.append(listener)
+        try:
+            yield
+        finally:
+            self._listeners.remove(listener)
+
+    def serve(self, inbox: Inbox) -> None:
+        """Make the next call in the inbox, if there is one soon.
+
+        Raises:
+            TunerError: If the tuner has fallen silent.
+        """
+        with contextlib.suppress(queue.Empty):
+            work = inbox.get(timeout=POLL_PERIOD)
+            if work is not None:
+                work()
+        self._check_alive()
+
+    # ------------------------------------------------------------------ on the executor's thread
+
+    def _make(self) -> None:
+        """Make all clients, and last the one by which the tuner is met."""
+        for name, kind in SERVICES.items():
+            self._services[name] = self._node.create_client(kind, self._name(name))
+        for name, kind in ACTIONS.items():
+            self._actions[name] = ActionClient(self._node, kind, self._name(name))
+        self._subscribe("status", msg.TunerStatus)
+        self._services[PROBE] = self._node.create_client(CancelGoal, self._name(PROBE))
+
+    def _subscribe(self, topic: str, kind: type) -> None:
+        qos = KEPT if topic == "evaluation" else LATCHED
+        self._subscriptions[topic] = self._node.create_subscription(
+            kind, self._name(topic), partial(self._take, topic), qos
+        )
+
+    def _subscribe_to_runs(self) -> None:
+        for topic, kind in RUN_TOPICS.items():
+            if topic not in self._subscriptions:
+                self._subscribe(topic, kind)
+
+    def _take(self, topic: str, message: Any) -> None:
+        if topic == "status":
+            now = time.monotonic()
+            if self._heard is not None and now - self._heard > RESTART_TIMEOUT:
+                self._met = False
+            self.status, self._heard = message, now
+        for listener in list(self._listeners):
+            listener.take(topic, message)
+
+    def _destroy(self) -> None:
+        for subscription in self._subscriptions.values():
+            self._node.destroy_subscription(subscription)
+        for client in self._services.values():
+            self._node.destroy_client(client)
+        for action in self._actions.values():
+            action.destroy()
+
+    # ------------------------------------------------------------------ on the caller's thread
+
+    @property
+    def _silent(self) -> bool:
+        return self._heard is None or time.monotonic() - self._heard > SILENCE_TIMEOUT
+
+    def _meet(self, timeout: float, goal: _Goal | None) -> None:
+        """Ask the tuner what does no harm until it answers.
+
+        Questions and answers are lost between nodes that have not discovered each other, and also
+        while a tuner that was killed still seems to be there. Nodes discover the endpoints of each
+        other in the order in which they were made: a tuner that answers the last one knows all.
+        """
+        client = self._services[PROBE]
+        nobodys = CancelGoal.Request()
+        nobodys.goal_info.goal_id.uuid = list(uuid.uuid4().bytes)
+        self._ready(client.service_is_ready, PROBE, goal)
+
+        def answers() -> bool:
+            answer = self._executor.start(lambda: client.call_async(nobodys))
+            with contextlib.suppress(TimeoutError):
+                answer.result(PROBE_TIMEOUT)
+                return True
+            return False
+
+        failure = f"the tuner did not answer within {timeout:g} s"
+        self._until(answers, timeout, failure, goal)
+        self._met = True
+
+    def _check_alive(self) -> None:
+        if self._silent:
+            raise TunerError(
+                ErrorCode.TUNER_LOST,
+                f"the tuner has been silent for {SILENCE_TIMEOUT:g} s: it is gone",
+            )
+
+    def _name(self, name: str) -> str:
+        return f"{self._namespace}/{name}" if self._namespace else name
+
+    def _resolved(self, name: str) -> str:
+        return str(self._node.resolve_topic_name(self._name(name)))
+
+    def _ready(self, is_ready: Callable[[], bool], name: str, goal: _Goal | None = None) -> None:
+        """Wait until the tuner offers a service or an action."""
+        self._until(
+            lambda: self._executor.call(is_ready),
+            self._timeout,
+            f"no tuner offered '{self._resolved(name)}' within {self._timeout:g} s",
+            goal,
+        )
+
+    def _until(
+        self, condition: Callable[[], bool], timeout: float, failure: str, goal: _Goal | None
+    ) -> None:
+        deadline = time.monotonic() + timeout
+        while not condition():
+            if goal is not None and goal.canceled:
+                raise TunerError(ErrorCode.CANCELED, "it was canceled before it began")
+            if time.monotonic() > deadline:
+                raise TunerError(ErrorCode.NO_TUNER, failure)
+            time.sleep(POLL_PERIOD)
+
+    def _wait(self, future: Future[Any], name: str, timeout: float) -> Any:
+        """Return the result of a future, for as long as the tuner lives."""
+        deadline = time.monotonic() + timeout
+        while True:
+            with contextlib.suppress(TimeoutError):
+                return future.result(POLL_PERIOD)
+            self._check_alive()
+            if time.monotonic() > deadline:
+                raise TunerError(
+                    ErrorCode.NO_ANSWER,
+                    f"the tuner did not answer on '{self._resolved(name)}' within {timeout:g} s",
+                )
+
+
+class _Goal:
+    """One goal, from before it is sent to its end."""
+
+    def __init__(self, executor: ExecutorThread) -> None:
+        self.canceled = False
+        self._executor = executor
+        self._handle: Any = None
+
+    def answered(self, answer: Future[Any]) -> None:
+        """Take note of the tuner's answer to the goal, even where nobody waits for it any more."""
+        if answer.exception() is None and answer.result().accepted:
+            self._handle = answer.result()
+            if self.canceled:
+                self.cancel()
+
+    def cancel(self) -> None:
+        """Ask the tuner to cancel the goal, now or once it is accepted."""
+        self.canceled = True
+        if self._handle is not None:
+            self._executor.post(self._handle.cancel_goal_async)

@@ -1,0 +1,528 @@
+"""The tuner from a plain Python program: one object, whose calls block until the tuner has answered."""
+
+from __future__ import annotations
+
+import atexit
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from queue import SimpleQueue
+from types import TracebackType
+from typing import Any
+
+from action_msgs.srv import CancelGoal
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rclpy.executors import Executor
+from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+from std_srvs.srv import Trigger
+
+from mobo_msgs_py.action import GoToWorkingPoint, Tune
+from mobo_msgs_py.srv import Ask, ListWorkingPoints, QueueSetpoint, Tell
+from mobo_tuner.client.connection import ACTIONS, Connection, Inbox
+from mobo_tuner.client.follower import (
+    Follower,
+    OnEvaluation,
+    OnFront,
+    OnProblem,
+    OnStatus,
+)
+from mobo_tuner.client.values import (
+    Arrival,
+    ErrorCode,
+    Evaluation,
+    Movement,
+    RunResult,
+    Status,
+    Suggestion,
+    TunerError,
+    WorkingPoints,
+    count,
+    evaluation_of,
+    front_of,
+    named,
+    number,
+    parameter_value,
+    point_of,
+    source_of,
+    status_of,
+    units_of,
+)
+from mobo_tuner.ros.conversions import values_of
+from mobo_tuner.runs.run_id import new_run_id
+
+TIMEOUT = 10.0  # [s] for the tuner to appear, and to answer what is quick
+LONG_TIMEOUT = 300.0  # [s] for answers that take a suggestion or a predicted front
+CATCH_UP = 1.0  # [s] for evaluations that come after the result of their run
+
+# Both actions number their errors in the same way.
+_CODES = {
+    Tune.Result.INVALID_GOAL: ErrorCode.INVALID_GOAL,
+    Tune.Result.MACHINE_UNAVAILABLE: ErrorCode.MACHINE_UNAVAILABLE,
+    Tune.Result.MACHINE_LOST: ErrorCode.MACHINE_LOST,
+    Tune.Result.MACHINE_ERROR: ErrorCode.MACHINE_ERROR,
+    Tune.Result.CANCELED: ErrorCode.CANCELED,
+}
+
+OnMovement = Callable[[Movement], object]
+
+
+class TunerClient:
+    """A client of one tuner.
+
+    Calls block until the tuner has answered, and raise `TunerError` with its own sentence where it
+    refuses. They may come from any thread but the executor's. Callbacks run on the thread that waits
+    for them, so that they may call the client; an error in one cancels what was going on.
+
+    Several clients can be used at a time, also of several tuners, in one program or in many. As a
+    context manager a client cancels, at its end, the run or the move that it asked for.
+
+    Example:
+        With a tuner and a machine in the ROS domain of the environment:
+
+        >>> from mobo_tuner.client import TunerClient
+        >>> indices = []
+        >>> with TunerClient() as client:
+        ...     client.set({"variables.x1.max": 1.5})
+        ...     result = client.tune(evaluations=8, on_evaluation=lambda e: indices.append(e.index))
+        ...     best = min(result.front.points, key=lambda point: point.objectives["f1"])
+        ...     arrival = client.go(best.index)
+        >>> result.stop_reason, indices, arrival.point.index == best.index
+        ('budget', [0, 1, 2, 3, 4, 5, 6, 7], True)
+
+    Args:
+        namespace: Namespace of the tuner, relative to that of the node.
+        domain_id: ROS domain of the tuner; None for that of the environment. Not used with `node`.
+        node: Node to use; None for one of its own, on an executor and thread of its own.
+        executor: Executor that spins `node`; None for the one to which it was added.
+        timeout: Time for the tuner to appear, and to answer what is quick [s].
+    """
+
+    def __init__(
+        self,
+        namespace: str = "",
+        *,
+        domain_id: int | None = None,
+        node: Node | None = None,
+        executor: Executor | None = None,
+        timeout: float = TIMEOUT,
+    ) -> None:
+        self._connection = Connection(
+            namespace, domain_id=domain_id, node=node, executor=executor, timeout=timeout
+        )
+        atexit.register(self.close)
+
+    # ------------------------------------------------------------------ begin and end
+
+    def __enter__(self) -> TunerClient:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def connect(self, timeout: float | None = None) -> None:
+        """Wait until the tuner is there; every other call does so by itself.
+
+        Args:
+            timeout: Longest wait [s]; None for that of the client.
+
+        Raises:
+            TunerError: If no tuner is heard.
+        """
+        self._connection.connect(timeout)
+
+    def close(self) -> None:
+        """Cancel what this client asked for and is going on, and release everything."""
+        atexit.unregister(self.close)
+        self._connection.close()
+
+    # ------------------------------------------------------------------ a run
+
+    def tune(
+        self,
+        *,
+        evaluations: int = 0,
+        hypervolume_goal: float = 0.0,
+        run_id: str = "",
+        resume_from: str = "",
+        on_evaluation: OnEvaluation | None = None,
+        on_status: OnStatus | None = None,
+        on_front: OnFront | None = None,
+        on_problem: OnProblem | None = None,
+    ) -> RunResult:
+        """Tune the machine, and wait until the run has ended.
+
+        A run that is canceled or breaks off has a result, too, with its error in it. Ctrl-C and an
+        error in a callback cancel the run and are raised once it has ended.
+
+        Args:
+            evaluations: Budget; 0 for that of the earlier run or of the tuner's parameter.
+            hypervolume_goal: Hypervolume at which to stop; 0 for none.
+            run_id: Name of the run; empty for one made of the time.
+            resume_from: Id of an earlier run whose evaluations this one begins with.
+            on_evaluation: Gets every evaluation once, those of the earlier run included.
+            on_status: Gets the tuner's status at every change, and at 1 Hz.
+            on_front: Gets the Pareto front whenever it changes.
+            on_problem: Gets what is tuned when the run begins, and whenever it is changed.
+
+        Raises:
+            TunerError: If the tuner is not there, refuses the run, or falls silent.
+        """
+        goal = Tune.Goal(
+            run_id=run_id or new_run_id("run"),
+            evaluations=count(evaluations, "evaluations"),
+            hypervolume_goal=number(hypervolume_goal, "hypervolume_goal"),
+            resume_from=resume_from,
+        )
+        follower = Follower(goal.run_id, on_evaluation, on_status, on_front, on_problem)
+        with self._connection.listening(follower):
+            result = self._connection.pursue(
+                "tune",
+                goal,
+                follower.inbox,
+                lambda feedback: follower.take("evaluation", feedback.evaluation),
+            )
+            self._catch_up(follower, result.evaluations)
+        error = _error(result)
+        if error is not None and error.code == ErrorCode.INVALID_GOAL:
+            raise error
+        return RunResult(
+            run_id=goal.run_id,
+            front=front_of(result.pareto_front),
+            evaluations=result.evaluations,
+            stop_reason=result.stop_reason,
+            error=error,
+        )
+
+    def watch(
+        self,
+        *,
+        on_evaluation: OnEvaluation | None = None,
+        on_status: OnStatus | None = None,
+        on_front: OnFront | None = None,
+        on_problem: OnProblem | None = None,
+    ) -> Status:
+        """Follow the run that is going on, whoever asked for it; return its last status.
+
+        Args:
+            on_evaluation: Gets every evaluation once, earlier ones included.
+            on_status: Gets the tuner's status at every change, and at 1 Hz.
+            on_front: Gets the Pareto front whenever it changes.
+            on_problem: Gets what is tuned, and again whenever it is changed.
+
+        Raises:
+            TunerError: If no run is going on, or the tuner falls silent.
+        """
+        status = self.status()
+        if not _is_running(status):
+            raise TunerError(ErrorCode.REFUSED, "no run is going on")
+        follower = Follower(status.run_id, on_evaluation, on_status, on_front, on_problem)
+        with self._connection.listening(follower):
+            while _is_running(latest := self.status()) and latest.run_id == status.run_id:
+                status = latest
+                self._connection.serve(follower.inbox)
+            if latest.run_id == status.run_id:
+                status = latest
+            self._catch_up(follower, status.evaluations)
+        return status
+
+    def cancel(self) -> None:
+        """Cancel the run or the move that this client asked for; its call returns once it ended.
+
+        It does not wait, and may be called from any thread.
+        """
+        self._connection.cancel()
+
+    def cancel_any(self) -> bool:
+        """Cancel the run or the move that is going on, whoever asked for it.
+
+        Returns:
+            Whether there was one.
+
+        Raises:
+            TunerError: If the tuner does not answer.
+        """
+        # A request with neither an id nor a time is about all goals of the action.
+        answers = [
+            self._call(f"{action}/_action/cancel_goal", CancelGoal.Request()) for action in ACTIONS
+        ]
+        return any(answer.goals_canceling for answer in answers)
+
+    # ------------------------------------------------------------------ steering
+
+    def status(self) -> Status:
+        """Return what the tuner is doing.
+
+        Raises:
+            TunerError: If the tuner is not there.
+        """
+        self._connection.connect()
+        return status_of(self._connection.status)
+
+    def pause(self) -> str:
+        """Pause the run before its next evaluation; return the tuner's sentence.
+
+        Raises:
+            TunerError: If no run is going on, or the tuner is not there; so for the next four, too.
+        """
+        return self._trigger("pause")
+
+    def resume(self) -> str:
+        """Let a paused run continue; return the tuner's sentence."""
+        return self._trigger("resume")
+
+    def step(self) -> str:
+        """Let the run make one more evaluation, then pause; return the tuner's sentence."""
+        return self._trigger("step")
+
+    def skip(self) -> str:
+        """End the evaluation in flight, which counts as failed; return the tuner's sentence."""
+        return self._trigger("skip")
+
+    def stop(self) -> str:
+        """End the run after the evaluation in flight; return the tuner's sentence."""
+        return self._trigger("stop_after_this")
+
+    def queue(self, setpoint: Mapping[str, float]) -> int:
+        """Have a set-point evaluated next.
+
+        Args:
+            setpoint: Every variable once, in its unit.
+
+        Returns:
+            The number of set-points in the queue.
+
+        Raises:
+            TunerError: If the tuner refuses it.
+        """
+        request = QueueSetpoint.Request(setpoint=named(setpoint, "the set-point"))
+        return int(_agreed(self._call("queue_setpoint", request)).waiting)
+
+    def set(self, values: Mapping[str, Any] | None = None, /, **parameters: Any) -> None:
+        """Set parameters of the tuner: all of them, or none.
+
+        A run takes them up before its next evaluation; without a run they are for those to come.
+
+        Args:
+            values: Values by full name, such as `{"variables.K1.max": 480.0}`.
+            parameters: Values of parameters without a dot in their name, such as `evaluations=80`.
+
+        Raises:
+            TunerError: If the tuner refuses one of them; nothing is changed.
+        """
+        wanted = {**(values or {}), **parameters}
+        request = SetParametersAtomically.Request(
+            parameters=[
+                Parameter(name, value=parameter_value(name, value)).to_parameter_msg()
+                for name, value in wanted.items()
+            ]
+        )
+        result = self._call("tuner/set_parameters_atomically", request).result
+        if result.successful:
+            return
+        for name in wanted:
+            self.get(name)  # a name that is unknown has a sentence of its own
+        raise TunerError(ErrorCode.REFUSED, result.reason)
+
+    def get(self, name: str) -> Any:
+        """Return the value of a parameter of the tuner; None where it is not set.
+
+        Raises:
+            TunerError: If the tuner has no such parameter.
+        """
+        values = self._call("tuner/get_parameters", GetParameters.Request(names=[name])).values
+        if not values:
+            raise TunerError(ErrorCode.REFUSED, f"the tuner has no parameter '{name}'")
+        value = parameter_value_to_python(values[0])
+        return list(value) if hasattr(value, "tolist") else value
+
+    # ------------------------------------------------------------------ working points
+
+    def working_points(
+        self, run_id: str = "", *, predict: bool = False, timeout: float = LONG_TIMEOUT
+    ) -> WorkingPoints:
+        """Return the Pareto front of a run.
+
+        Args:
+            run_id: Id of the run; empty for the one that began last.
+            predict: Whether to predict the front, too, which takes seconds.
+            timeout: Longest wait [s].
+
+        Raises:
+            TunerError: If there is no such run, or it cannot be read.
+        """
+        request = ListWorkingPoints.Request(run_id=run_id, predict=predict)
+        answer = _agreed(self._call("list_working_points", request, timeout))
+        predicted = front_of(answer.predicted, predicted=True) if predict else None
+        return WorkingPoints(front_of(answer.measured), predicted)
+
+    def go(
+        self,
+        index: int | None = None,
+        *,
+        weights: Mapping[str, float] | None = None,
+        run_id: str = "",
+        hold: int = 0,
+        radius: float = 0.0,
+        on_feedback: OnMovement | None = None,
+    ) -> Arrival:
+        """Go to a point of a Pareto front, and wait until the machine is there.
+
+        Ctrl-C and an error in the callback stop the machine where it is.
+
+        Args:
+            index: Index of the point's evaluation; or give weights.
+            weights: Weights of the objectives [1/unit]; the point with the least sum is chosen.
+            run_id: Id of the run whose front is meant; empty for the run that began last.
+            hold: Number of evaluations to spend on holding the point against drift.
+            radius: Radius of that search, as a share of each variable's range; 0 for the default.
+            on_feedback: Gets what the machine is doing.
+
+        Raises:
+            TunerError: If there is no such point, or the machine does not get there.
+        """
+        if (index is None) == (weights is None):
+            raise TunerError(ErrorCode.INVALID_VALUE, "give either the index of a point or weights")
+        # The run is always named: what "last" means may change between two questions.
+        goal = GoToWorkingPoint.Goal(
+            run_id=run_id or self.working_points().measured.run_id,
+            hold_evaluations=count(hold, "hold"),
+            radius=number(radius, "radius"),
+        )
+        if weights is None:
+            goal.choice, goal.index = GoToWorkingPoint.Goal.BY_INDEX, count(index, "index")
+        else:
+            goal.choice = GoToWorkingPoint.Goal.BY_WEIGHTS
+            goal.weights = named(weights, "the weight of")
+        inbox: Inbox = SimpleQueue()
+
+        def tell(feedback: Any) -> None:
+            if on_feedback is not None:
+                readbacks = values_of(feedback.readbacks)
+                movement = Movement(feedback.phase, feedback.evaluations, readbacks)
+                inbox.put(partial(on_feedback, movement))
+
+        result = self._connection.pursue("go_to_working_point", goal, inbox, tell)
+        error = _error(result)
+        if error is not None:
+            raise error
+        return Arrival(
+            run_id=goal.run_id,
+            point=point_of(result.point),
+            readbacks=values_of(result.readbacks),
+            units=units_of(result.readbacks),
+            evaluations=result.evaluations,
+        )
+
+    def hold(
+        self,
+        evaluations: int,
+        index: int | None = None,
+        *,
+        weights: Mapping[str, float] | None = None,
+        run_id: str = "",
+        radius: float = 0.0,
+        on_feedback: OnMovement | None = None,
+    ) -> Arrival:
+        """Go to a point of a Pareto front and hold it there against drift; see `go`."""
+        return self.go(
+            index,
+            weights=weights,
+            run_id=run_id,
+            hold=evaluations,
+            radius=radius,
+            on_feedback=on_feedback,
+        )
+
+    # ------------------------------------------------------------------ a loop of one's own
+
+    def ask(self, *, timeout: float = LONG_TIMEOUT) -> Suggestion:
+        """Return where to measure next; asking twice gives the same answer.
+
+        Raises:
+            TunerError: If a run is going on, or the tuner does not answer in time.
+        """
+        answer = _agreed(self._call("ask", Ask.Request(), timeout))
+        return Suggestion(
+            run_id=answer.run_id,
+            index=answer.index,
+            setpoint=values_of(answer.setpoint),
+            source=source_of(answer.source),
+        )
+
+    def tell(
+        self,
+        where: Suggestion | Mapping[str, float],
+        diagnostics: Mapping[str, float | tuple[float, float]],
+        readbacks: Mapping[str, float] | None = None,
+        *,
+        timeout: float = LONG_TIMEOUT,
+    ) -> Evaluation:
+        """Tell what was measured.
+
+        Args:
+            where: Suggestion that was followed, or set-point of one's own.
+            diagnostics: Means by name, or pairs (mean, standard deviation); NaN or missing = not
+                measured.
+            readbacks: Where the machine was, as far as known.
+            timeout: Longest wait [s].
+
+        Returns:
+            The evaluation as it is kept.
+
+        Raises:
+            TunerError: If the tuner refuses it; then nothing was learned.
+        """
+        request = Tell.Request(
+            diagnostics=named(diagnostics, "the diagnostic"),
+            readbacks=named(readbacks or {}, "the readback"),
+        )
+        if isinstance(where, Suggestion):
+            request.run_id, request.index = where.run_id, where.index
+            where = where.setpoint
+        request.setpoint = named(where, "the set-point")
+        return evaluation_of(_agreed(self._call("tell", request, timeout)).evaluation)
+
+    # ------------------------------------------------------------------ inside
+
+    def _call(self, name: str, request: Any, timeout: float | None = None) -> Any:
+        return self._connection.call(name, request, timeout)
+
+    def _trigger(self, name: str) -> str:
+        return str(_agreed(self._call(name, Trigger.Request())).message)
+
+    def _catch_up(self, follower: Follower, evaluations: int) -> None:
+        """Hand out evaluations that are late, and all that is left."""
+        deadline = time.monotonic() + CATCH_UP
+        while follower.lacks(evaluations) and time.monotonic() < deadline:
+            self._connection.serve(follower.inbox)
+        while not follower.inbox.empty():
+            self._connection.serve(follower.inbox)
+
+
+def _is_running(status: Status) -> bool:
+    """Whether a run is going on."""
+    return status.state not in ("idle", "moving", "unknown") and not status.stop_reason
+
+
+def _agreed(answer: Any) -> Any:
+    """Return the answer of a service that did what it was asked for.
+
+    Raises:
+        TunerError: If it did not.
+    """
+    if not answer.success:
+        raise TunerError(ErrorCode.REFUSED, answer.message)
+    return answer
+
+
+def _error(result: Any) -> TunerError | None:
+    """Return the error in the result of an action."""
+    if result.error_code == Tune.Result.NONE:
+        return None
+    return TunerError(_CODES.get(result.error_code, ErrorCode.INTERNAL), result.error_msg)

@@ -1,0 +1,416 @@
+"""What a `TunerClient` gives: plain values, made from the tuner's messages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from mobo_msgs_py import msg
+from mobo_tuner.core.problem import Constraint, Objective, Observable, Problem, Variable
+from mobo_tuner.errors import UserError
+from mobo_tuner.ros.conversions import seconds, values_of
+
+
+class ErrorCode(StrEnum):
+    """Why a tuner did not do what it was asked for."""
+
+    NO_TUNER = "no_tuner"  # none was found
+    TUNER_LOST = "tuner_lost"  # it fell silent
+    NO_ANSWER = "no_answer"  # it lives, but did not answer in time
+    REFUSED = "refused"  # by the tuner, with its reason
+    INVALID_VALUE = "invalid_value"  # it cannot be sent at all
+    INVALID_GOAL = "invalid_goal"  # this and the rest are the codes of the actions' results
+    MACHINE_UNAVAILABLE = "machine_unavailable"
+    MACHINE_LOST = "machine_lost"
+    MACHINE_ERROR = "machine_error"
+    CANCELED = "canceled"
+    INTERNAL = "internal"
+
+
+class TunerError(UserError):
+    """The tuner did not do what it was asked for; the message is one sentence.
+
+    Attributes:
+        code: Kind of the error.
+    """
+
+    def __init__(self, code: ErrorCode, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+@dataclass(frozen=True)
+class Status:
+    """What the tuner is doing.
+
+    Attributes:
+        state: "idle", "waiting", "suggesting", "evaluating", "canceling", "paused" or "moving".
+        run_id: Id of the run that `evaluations` and the rest are about; empty before the first.
+        evaluations: Number of finished evaluations.
+        budget: Number of evaluations asked for.
+        failed: Number of invalid ones among the finished evaluations.
+        feasible: Number of feasible ones among the finished evaluations.
+        hypervolume: Hypervolume of the Pareto front.
+        phase: The machine's own word for what it is doing, e.g. "ramping".
+        fraction: Share of the phase that is done [0..1].
+        stop_reason: Why the latest run ended; empty while one is going on.
+        message: Sentence for people; empty when there is nothing to say.
+    """
+
+    state: str
+    run_id: str = ""
+    evaluations: int = 0
+    budget: int = 0
+    failed: int = 0
+    feasible: int = 0
+    hypervolume: float = 0.0
+    phase: str = ""
+    fraction: float = 0.0
+    stop_reason: str = ""
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """One evaluation of a run; quantities are by name, in their own units, NaN = not measured.
+
+    Attributes:
+        run_id: Id of the run.
+        index: Index within the run, from 0.
+        source: "initial", "model" or "operator".
+        attempts: Number of tries, the last one included.
+        stamp: End of the measurement [s since the epoch].
+        setpoint: Where the machine was asked to go.
+        readbacks: Where it was.
+        diagnostics: Means of everything that was measured.
+        objectives: Means of the objectives.
+        stddevs: Standard deviations of diagnostics and objectives; NaN = unknown.
+        units: Units of all of them.
+        valid: Whether every objective and constrained quantity was measured.
+        feasible: Whether it is valid and meets every constraint.
+        non_dominated: Whether it is on the Pareto front after this evaluation.
+        hypervolume: Hypervolume of the front after this evaluation.
+        error: Why it failed; empty if it did not.
+        suggest_seconds: Wall time of the suggestion [s].
+        machine_seconds: Wall time that the machine took [s].
+        total_seconds: Wall time of the whole step [s].
+    """
+
+    run_id: str
+    index: int
+    source: str
+    attempts: int
+    stamp: float
+    setpoint: Mapping[str, float]
+    readbacks: Mapping[str, float]
+    diagnostics: Mapping[str, float]
+    objectives: Mapping[str, float]
+    stddevs: Mapping[str, float]
+    units: Mapping[str, str]
+    valid: bool
+    feasible: bool
+    non_dominated: bool
+    hypervolume: float
+    error: str
+    suggest_seconds: float
+    machine_seconds: float
+    total_seconds: float
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point of a Pareto front, measured or predicted.
+
+    Attributes:
+        index: Index of its evaluation; None if it is predicted.
+        setpoint: Its set-point, by variable.
+        objectives: Its objectives, by name.
+        stddevs: Their standard deviations; NaN = unknown.
+    """
+
+    index: int | None
+    setpoint: Mapping[str, float]
+    objectives: Mapping[str, float]
+    stddevs: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Front:
+    """A Pareto front.
+
+    Attributes:
+        run_id: Id of the run that it belongs to.
+        points: Its points.
+        hypervolume: Its hypervolume against the reference point.
+        reference_point: Worst value of interest of each objective.
+        units: Units of objectives and variables.
+    """
+
+    run_id: str
+    points: tuple[Point, ...]
+    hypervolume: float
+    reference_point: Mapping[str, float]
+    units: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What came out of a run.
+
+    Attributes:
+        run_id: Id of the run.
+        front: Pareto front, as far as the run got.
+        evaluations: Number of finished evaluations.
+        stop_reason: "budget", "hypervolume_goal", "stopped", "canceled" or "error".
+        error: Why it ended otherwise than planned; None if it ended well.
+    """
+
+    run_id: str
+    front: Front
+    evaluations: int
+    stop_reason: str
+    error: TunerError | None
+
+
+@dataclass(frozen=True)
+class WorkingPoints:
+    """The Pareto front as measured, and as the models predict it where that was asked for."""
+
+    measured: Front
+    predicted: Front | None
+
+
+@dataclass(frozen=True)
+class Movement:
+    """How a move to a working point proceeds.
+
+    Attributes:
+        phase: The machine's own word for what it is doing, e.g. "ramping".
+        evaluations: Number of evaluations spent on holding the point.
+        readbacks: Where the machine is, as far as it says.
+    """
+
+    phase: str
+    evaluations: int
+    readbacks: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """Where the machine is after a move to a working point.
+
+    Attributes:
+        run_id: Id of the run whose front the point is on.
+        point: The point that was chosen.
+        readbacks: Where the machine is.
+        units: Units of the variables.
+        evaluations: Number of evaluations spent on holding the point.
+    """
+
+    run_id: str
+    point: Point
+    readbacks: Mapping[str, float]
+    units: Mapping[str, str]
+    evaluations: int
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """Where to measure next.
+
+    Attributes:
+        run_id: Id of the run that the answers make up.
+        index: Index of the evaluation that is asked for.
+        setpoint: Every variable, in its unit.
+        source: "initial" or "model".
+    """
+
+    run_id: str
+    index: int
+    setpoint: Mapping[str, float]
+    source: str
+
+
+_STATES = {
+    msg.TunerStatus.IDLE: "idle",
+    msg.TunerStatus.WAITING: "waiting",
+    msg.TunerStatus.SUGGESTING: "suggesting",
+    msg.TunerStatus.EVALUATING: "evaluating",
+    msg.TunerStatus.CANCELING: "canceling",
+    msg.TunerStatus.PAUSED: "paused",
+    msg.TunerStatus.MOVING: "moving",
+}
+_SOURCES = {
+    msg.Evaluation.INITIAL: "initial",
+    msg.Evaluation.MODEL: "model",
+    msg.Evaluation.OPERATOR: "operator",
+}
+
+
+def status_of(message: msg.TunerStatus) -> Status:
+    """Return a status from its message."""
+    return Status(
+        state=_STATES.get(message.state, "unknown"),
+        run_id=message.run_id,
+        evaluations=message.evaluations,
+        budget=message.budget,
+        failed=message.failed,
+        feasible=message.feasible,
+        hypervolume=message.hypervolume,
+        phase=message.phase,
+        fraction=message.fraction,
+        stop_reason=message.stop_reason,
+        message=message.message,
+    )
+
+
+def source_of(source: int) -> str:
+    """Return where a set-point comes from, in a word."""
+    return _SOURCES.get(source, "unknown")
+
+
+def evaluation_of(message: msg.Evaluation) -> Evaluation:
+    """Return an evaluation from its message."""
+    measured = (*message.diagnostics, *message.objectives)
+    return Evaluation(
+        run_id=message.run_id,
+        index=message.index,
+        source=source_of(message.source),
+        attempts=message.attempts,
+        stamp=seconds(message.stamp),
+        setpoint=values_of(message.setpoint),
+        readbacks=values_of(message.readbacks),
+        diagnostics=values_of(message.diagnostics),
+        objectives=values_of(message.objectives),
+        stddevs={item.name: item.stddev for item in measured},
+        units=units_of((*message.setpoint, *measured)),
+        valid=message.valid,
+        feasible=message.feasible,
+        non_dominated=message.non_dominated,
+        hypervolume=message.hypervolume,
+        error="" if message.valid else message.error_msg or "not fully measured",
+        suggest_seconds=message.suggest_seconds,
+        machine_seconds=message.machine_seconds,
+        total_seconds=message.total_seconds,
+    )
+
+
+def point_of(message: msg.ParetoPoint, *, predicted: bool = False) -> Point:
+    """Return a point of a front from its message."""
+    return Point(
+        index=None if predicted else message.index,
+        setpoint=values_of(message.setpoint),
+        objectives=values_of(message.objectives),
+        stddevs={item.name: item.stddev for item in message.objectives},
+    )
+
+
+def front_of(message: msg.ParetoFront, *, predicted: bool = False) -> Front:
+    """Return a front from its message."""
+    setpoint = message.points[0].setpoint if message.points else ()
+    return Front(
+        run_id=message.run_id,
+        points=tuple(point_of(point, predicted=predicted) for point in message.points),
+        hypervolume=message.hypervolume,
+        reference_point=values_of(message.reference_point),
+        units=units_of((*message.reference_point, *setpoint)),
+    )
+
+
+def problem_of(message: msg.Problem) -> Problem:
+    """Return what is tuned from its message, as the tuner checked it."""
+    return Problem(
+        variables=tuple(Variable(v.name, v.min, v.max, v.unit, v.cost) for v in message.variables),
+        objectives=tuple(
+            Objective(
+                o.name,
+                o.reference,
+                "maximize" if o.direction == msg.Objective.MAXIMIZE else "minimize",
+                o.unit,
+                (o.truncation_min, o.truncation_max) if o.truncated else None,
+            )
+            for o in message.objectives
+        ),
+        constraints=tuple(
+            Constraint(c.name, c.min, c.max, c.unit, c.critical) for c in message.constraints
+        ),
+        observables=tuple(Observable(o.name, o.unit) for o in message.observables),
+    )
+
+
+def named(values: Mapping[str, float | tuple[float, float]], what: str) -> list[msg.NamedValue]:
+    """Return values by name as messages; a pair is a mean and its standard deviation.
+
+    Raises:
+        TunerError: If a value is not a number.
+    """
+    messages = []
+    for name, value in values.items():
+        mean, stddev = value if isinstance(value, tuple) and len(value) == 2 else (value, math.nan)
+        messages.append(
+            msg.NamedValue(
+                name=str(name),
+                value=number(mean, f"{what} {name}"),
+                stddev=number(stddev, f"the standard deviation of {what} {name}"),
+            )
+        )
+    return messages
+
+
+def number(value: Any, what: str) -> float:
+    """Return a number of any kind as a float.
+
+    Raises:
+        TunerError: If it is none.
+    """
+    try:
+        if not isinstance(value, bool | str | bytes):
+            return float(value)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise TunerError(ErrorCode.INVALID_VALUE, f"{what} is {value!r}; a number is allowed")
+
+
+def count(value: Any, what: str) -> int:
+    """Return a whole number as messages take it.
+
+    Raises:
+        TunerError: If it is none, or out of range.
+    """
+    if isinstance(value, bool) or not hasattr(value, "__index__") or not 0 <= value < 2**32:
+        raise TunerError(
+            ErrorCode.INVALID_VALUE, f"{what} is {value!r}; a whole number of at least 0 is allowed"
+        )
+    return int(value)
+
+
+def units_of(named: Iterable[msg.NamedValue]) -> dict[str, str]:
+    """Return the units of those named values that have one."""
+    return {item.name: item.unit for item in named if item.unit}
+
+
+def parameter_value(name: str, value: Any) -> Any:
+    """Return a value as a ROS parameter takes it: the numbers of a list are of one type.
+
+    Raises:
+        TunerError: If no ROS parameter can have it.
+    """
+    if hasattr(value, "tolist"):  # of numpy
+        value = value.tolist()
+    if value is None or isinstance(value, bool | str | float):
+        return value
+    if isinstance(value, int) and abs(value) < 2**63:
+        return value
+    if isinstance(value, Sequence) and value:
+        kinds = {type(item) for item in value}
+        if kinds == {int, float}:
+            return [float(item) for item in value]
+        if kinds in ({bool}, {str}, {float}) or (kinds == {int} and max(map(abs, value)) < 2**63):
+            return list(value)
+    raise TunerError(
+        ErrorCode.INVALID_VALUE,
+        f"{name} is {value!r}; a number, true or false, text, or a list of one of these is allowed",
+    )
