@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NoReturn
 
+from launcher.errors import UsageError
 from launcher.ros_domain import LAST as LAST_DOMAIN
 from launcher.run_folder import RUN_ID, RUN_ID_RULE
 
@@ -18,10 +19,6 @@ MIN_SPEED, MAX_SPEED = 1e-3, 1e6
 RUN_HELP = "run id, or path of a run folder"
 
 Act = Callable[[argparse.Namespace], None]
-
-
-class UsageError(Exception):
-    """The command line is wrong; the message is one sentence for the user."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -60,12 +57,12 @@ def _run_id(text: str) -> str:
 
 
 def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argparse.ArgumentParser:
-    """The parser of the command line, but for the verb `test`, whose arguments go to pytest.
+    """Return the parser of the command line without the verb `test`, whose arguments go to pytest.
 
     Args:
-        description: for `--help`.
-        root: the project's folder.
-        verbs: what each verb does.
+        description: Text of `--help`.
+        root: Folder of the project; verbs find it as the option `root`.
+        verbs: Function of each verb.
     """
     parser = _Parser(
         prog="mobo.py",
@@ -80,7 +77,7 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
         folder = root / "runs"
         what = "where runs are kept (default: runs, beside mobo.py)"
         verb.add_argument("--runs-dir", metavar="DIR", type=Path, default=folder, help=what)
-        verb.set_defaults(act=verbs[name])
+        verb.set_defaults(act=verbs[name], root=root)
         return verb
 
     run = add("run", "tune the machine of a configuration, once")
@@ -106,7 +103,12 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
     run.add_argument(
         "--run-id", metavar="ID", type=_run_id, help="name of the run (default: the time)"
     )
+    _add_machine(run, "as the sections of the configuration say")
     _add_surroundings(run, "as configured")
+
+    check = add("check", "say what a configuration means, without starting anything")
+    check.add_argument("config", metavar="FILE", type=Path, help="ROS parameter file")
+    _add_machine(check, "none")
 
     subparsers.add_parser("test", help="set up and run the tests; arguments go to pytest")
     add("list", "list the runs")
@@ -129,6 +131,7 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
     resume.add_argument(
         "--run-id", metavar="ID", type=_run_id, help="name of the new run (default: RUN-2, ...)"
     )
+    _add_machine(resume, "that of the run")
     _add_surroundings(resume, "as that of the run")
 
     add("report", "make the report of a run anew").add_argument("run", metavar="RUN", help=RUN_HELP)
@@ -139,6 +142,14 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
     replay = add("replay", "ask for every suggestion of a run again, and compare")
     replay.add_argument("run", metavar="RUN", help=RUN_HELP + " or of a bag")
     return parser
+
+
+def _add_machine(verb: argparse.ArgumentParser, default: str) -> None:
+    verb.add_argument(
+        "--machine",
+        metavar="COMMAND",
+        help=f"program that is started as the machine's node (default: {default})",
+    )
 
 
 def _add_surroundings(verb: argparse.ArgumentParser, speed: str) -> None:
@@ -154,7 +165,8 @@ def _add_surroundings(verb: argparse.ArgumentParser, speed: str) -> None:
         "--domain-id",
         metavar="N",
         type=_whole(0, LAST_DOMAIN),
-        help="ROS domain (default: one that is free)",
+        help="ROS domain (default: one that is free; where the machine is there already, "
+        "ROS_DOMAIN_ID, or 0)",
     )
     verb.add_argument(
         "--network",

@@ -21,6 +21,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from launcher.errors import SetupError
 from launcher.processes import Processes, describe_status
 
 _STAGE_TIMEOUT = 3600.0  # [s]
@@ -40,10 +41,6 @@ _SCRUBBED_PREFIXES = (
     "RMW_",
     "ROS_",
 )
-
-
-class SetupError(Exception):
-    """The virtual environment cannot be set up; the message is for the user."""
 
 
 @dataclass(frozen=True)
@@ -240,12 +237,30 @@ class Environment:
     @contextmanager
     def _lock(self, processes: Processes) -> Iterator[None]:
         """Keep other set-ups of this folder out; the lock dies with the process that holds it."""
-        with (self._root / ".venv-setup.lock").open("w") as file:
+        with self._lock_file().open("w") as file:
             if not _try_lock(file.fileno()):
                 print("waiting for another mobo.py that is setting up .venv", flush=True)
                 if not processes.wait_until(lambda: _try_lock(file.fileno()), _LOCK_TIMEOUT):
                     raise SetupError("another mobo.py has been setting up .venv for too long")
             yield
+
+    def _lock_file(self) -> Path:
+        """Return the file that is locked, which can be written.
+
+        Raises:
+            SetupError: If it cannot, since the folder is somebody else's, for example.
+        """
+        path = self._root / ".venv-setup.lock"
+        try:
+            path.open("w").close()
+        except OSError as error:
+            owner = path.owner() if path.exists() else self._root.owner()
+            raise SetupError(
+                f"'{self._root}' needs a set-up, and its lock file cannot be written "
+                f"({error.strerror}): let its owner, {owner}, run mobo.py once, or use a copy of "
+                "the folder that is your own"
+            ) from None
+        return path
 
 
 class _Progress:

@@ -30,6 +30,7 @@ class Interrupted(Exception):  # noqa: N818 - not an error: somebody asked for i
     """A signal asked this script to stop; `number` is the signal's."""
 
     def __init__(self, number: int) -> None:
+        self.number = number
         self.name = signal.Signals(number).name
         self.exit_status = 128 + number
         super().__init__(f"stopped by {self.name}")
@@ -39,8 +40,8 @@ class Processes:
     """Starts, watches and ends processes; leaving the `with` block ends all that are left.
 
     Within the block the first SIGINT, SIGTERM or SIGHUP raises :class:`Interrupted`, in the waiting
-    functions of this class and nowhere else. Further ones change nothing: from the first on, the
-    end is near anyway.
+    functions of this class and nowhere else. Further ones change nothing, unless they are heeded by
+    :meth:`heed_next_signal`: from the first on, the end is near anyway.
     """
 
     def __init__(self) -> None:
@@ -129,6 +130,11 @@ class Processes:
             self._interrupted = True
             raise Interrupted(self._signal)
 
+    def heed_next_signal(self) -> None:
+        """Let the next signal raise Interrupted once more."""
+        self._signal = None
+        self._interrupted = False
+
     def wait(self, process: subprocess.Popen[bytes], timeout: float) -> int | None:
         """Wait for a process's end, for `timeout` seconds; return its status, None if it runs on.
 
@@ -151,20 +157,29 @@ class Processes:
         """
         running = [process for process in processes if process.poll() is None]
         for process in running:
-            if process.pid not in self._asked:
-                self._asked.add(process.pid)
-                process.send_signal(signal.SIGINT)
+            self.interrupt(process)
         if self.wait_until(lambda: all(p.poll() is not None for p in running), patience):
             return True
         for process in running:
             if process.poll() is None:
-                with contextlib.suppress(ProcessLookupError):
-                    os.killpg(process.pid, signal.SIGKILL)
+                _signal_group(process, signal.SIGKILL)
                 process.wait(timeout=5.0)
         return False
 
+    def interrupt(self, process: subprocess.Popen[bytes], again: bool = False) -> None:
+        """Send SIGINT to a running process that did not get it yet, or did but shall `again`."""
+        if process.poll() is None and (again or process.pid not in self._asked):
+            self._asked.add(process.pid)
+            _signal_group(process, signal.SIGINT)
+
     def _handle(self, number: int, _frame: FrameType | None) -> None:
         self._signal = number
+
+
+def _signal_group(process: subprocess.Popen[bytes], number: signal.Signals) -> None:
+    """Send a signal to a process and those of its children that stayed in its session's group."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, number)
 
 
 def describe_status(status: int) -> str:

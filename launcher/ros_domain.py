@@ -15,12 +15,10 @@ import socket
 import tempfile
 from types import TracebackType
 
+from launcher.errors import DomainError
+
 FIRST, LAST = 1, 101
 _PARTICIPANTS = 10  # of other programs that are looked for in a domain
-
-
-class DomainError(Exception):
-    """No domain can be had; the message is one sentence for the user."""
 
 
 class RosDomain:

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
+import shutil
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from launcher.errors import RunFolderError
+
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
 RUN_ID_RULE = "letters, digits, '_', '.' and '-', a letter or digit first, 100 characters at most"
 
+# These and the rule for names are those of `mobo_tuner.runs`, which this script cannot import; a
+# test compares them.
 RUN_FILE = "run.json"
+CONFIG_FILE = "config.yaml"
 SUMMARY_FILE = "summary.json"
 JOURNAL_FILE = "journal.jsonl"
-
-
-class RunFolderError(Exception):
-    """A run's folder cannot be made or read; the message is one sentence for the user."""
 
 
 class RunFolder:
@@ -118,6 +121,26 @@ class RunFolder:
         """Whether there is anything to report on."""
         return (self.path / JOURNAL_FILE).is_file()
 
+    def adopt(self, folder: Path) -> None:
+        """Take over copies of the files of a folder.
+
+        Raises:
+            RunFolderError: If they cannot be written.
+        """
+        try:
+            shutil.copytree(folder, self.path, dirs_exist_ok=True)
+        except OSError as error:  # shutil.Error is one; its text is a list
+            raise RunFolderError(f"'{self.path}' cannot be written: {error}") from None
+
+    def last_error(self) -> str:
+        """Return the error of the last evaluation in the journal; empty if it has none."""
+        with contextlib.suppress(OSError, ValueError):
+            lines = (self.path / JOURNAL_FILE).read_text().splitlines()
+            records = [json.loads(line) for line in lines]
+            errors = [r.get("error_msg") for r in records if r.get("type") == "evaluation"]
+            return str(errors[-1] or "") if errors else ""
+        return ""
+
     def record(self, facts: Mapping[str, Any]) -> None:
         """Write `run.json`, at once and whole.
 
@@ -175,6 +198,7 @@ class RunFolder:
         arguments = facts.get("arguments")
         if isinstance(arguments, Mapping):
             shown |= {name: arguments.get(name) for name in ("config", "seed")}
+        shown["machine"] = _machine(facts)
         names = ("evaluations", "failed", "feasible", "hypervolume", "stop_reason")
         shown |= {name: summary.get(name) for name in names}
         lines += [
@@ -247,6 +271,18 @@ def process_start(pid: int) -> str | None:
 def _is_alive(facts: Mapping[str, Any]) -> bool:
     pid, started = facts.get("pid"), facts.get("pid_started")
     return isinstance(pid, int) and isinstance(started, str) and process_start(pid) == started
+
+
+def _machine(facts: Mapping[str, Any]) -> str | None:
+    """Return in a few words which machine a run had; None if that is not recorded."""
+    machine = facts.get("machine")
+    if not isinstance(machine, Mapping):
+        return None
+    if "section" in machine:
+        return f"{machine['section']}, started by the run"
+    if "command" in machine:
+        return f"{machine['command']}, started by the run"
+    return f"there already, in ROS domain {facts.get('domain_id')}"
 
 
 def _new_names(label: str) -> list[str]:

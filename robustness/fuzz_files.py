@@ -24,10 +24,11 @@ from typing import Any
 import numpy as np
 import yaml
 
-from awa_sim_node.check_config import check
+from awa_sim_node.describe import describe_file
 from launcher.run_folder import RunFolder, RunFolderError
 from mobo_tuner.bridge.mapping import load_mapping
 from mobo_tuner.errors import UserError
+from mobo_tuner.nodes.check_config import check
 from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import FILE_NAME, read_journal
 from mobo_tuner.runs.rebuild import records_of_bag, runs_of_bag
@@ -152,7 +153,7 @@ class Fuzzer:
 
     def _configuration(self) -> None:
         name = str(self._rng.choice(["awa.yaml", "toy.yaml"]))
-        check(str(self._altered_yaml(ROOT / "config" / name)))
+        check(self._altered_yaml(ROOT / "config" / name), {"awa_sim": describe_file})
 
     def _mapping(self) -> None:
         load_mapping(str(self._altered_yaml(ROOT / "config" / "bridge_foreign.yaml")))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,14 +13,30 @@ from typing import Any
 import pytest
 import yaml
 
-from awa_sim_node.check_config import check
 from mobo_tuner.errors import UserError
 from mobo_tuner.files import load_yaml
+from mobo_tuner.machine.description import DescriptionError, MachineDescription, Variable
+from mobo_tuner.nodes import check_config
+from mobo_tuner.nodes.check_config import copy_to, describe_by
 
 CONFIG = Path(__file__).parents[2] / "config"
-SHIPPED = sorted(
-    {path.name for path in CONFIG.glob("*.yaml")} - {p.name for p in CONFIG.glob("bridge_*")}
-)
+SHIPPED = {
+    "awa.yaml": "awa_sim",
+    "toy.yaml": "awa_sim",
+    "foreign.yaml": "machine_bridge",
+    "my_machine.yaml": "",
+}
+MODULES = {"awa_sim": "awa_sim_node.describe", "machine_bridge": "mobo_tuner.bridge.describe"}
+MACHINES = {section: describe_by(module) for section, module in MODULES.items()}
+
+
+def check(path: Path, **options: Any) -> check_config.Configuration:
+    return check_config.check(path, MACHINES, **options)
+
+
+def written(content: object, path: Path) -> Path:
+    path.write_text(yaml.safe_dump(content))
+    return path
 
 
 @pytest.fixture
@@ -26,9 +44,14 @@ def config() -> dict[str, Any]:
     return copy.deepcopy(load_yaml(CONFIG / "awa.yaml"))
 
 
-@pytest.mark.parametrize("name", SHIPPED)
-def test_every_shipped_configuration_is_good(name: str) -> None:
-    assert check(str(CONFIG / name)).objectives
+def test_every_shipped_file_is_good_and_chooses_its_machine() -> None:
+    mappings = {path.name for path in CONFIG.glob("bridge_*")}
+    assert {path.name for path in CONFIG.glob("*.yaml")} - mappings == {*SHIPPED}
+    for name, section in SHIPPED.items():
+        configuration = check(CONFIG / name)
+        assert configuration.problem.objectives
+        assert configuration.section == section
+        assert (configuration.machine is None) == (not section)
 
 
 @pytest.mark.parametrize(
@@ -62,32 +85,168 @@ def test_a_mistake_is_named_in_one_sentence(
     for key in parents:
         branch = branch[key]
     branch[leaf] = value
-    file = tmp_path / "bad.yaml"
-    file.write_text(yaml.safe_dump(config))
     with pytest.raises(UserError, match=sentence) as error:
-        check(str(file))
+        check(written(config, tmp_path / "bad.yaml"))
     assert "\n" not in str(error.value)
+
+
+# ------------------------------------------------------------------ which machine
+
+
+@pytest.fixture
+def foreign(tmp_path: Path) -> dict[str, Any]:
+    """A parameter file's content with a bridge whose mapping is in another folder."""
+    (tmp_path / "mappings").mkdir()
+    shutil.copy(CONFIG / "bridge_foreign.yaml", tmp_path / "mappings" / "lab.yaml")
+    content = load_yaml(CONFIG / "foreign.yaml")
+    content["machine_bridge"]["ros__parameters"]["mapping"] = "mappings/lab.yaml"
+    return content
+
+
+def test_the_mapping_of_a_bridge_is_relative_to_the_parameter_file(
+    foreign: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path.parent)
+    machine = check(written(foreign, tmp_path / "foreign.yaml")).machine
+    assert machine is not None
+    assert machine.name == "foreign machine"
+    assert machine.variables == {"x1": Variable(-2.0, 2.0), "x2": Variable(-2.0, 2.0)}
+    assert machine.files == {"mapping": str(tmp_path / "mappings" / "lab.yaml")}
+
+
+@pytest.mark.parametrize(
+    ("mapping", "named"),
+    [("nowhere.yaml", "nowhere.yaml' cannot be read"), ("", "mapping is empty"), (3, "mapping")],
+)
+def test_a_bridge_without_a_good_mapping_is_refused(
+    foreign: dict[str, Any], tmp_path: Path, mapping: object, named: str
+) -> None:
+    foreign["machine_bridge"]["ros__parameters"]["mapping"] = mapping
+    with pytest.raises(UserError, match=named):
+        check(written(foreign, tmp_path / "bad.yaml"))
+
+
+def test_a_problem_must_fit_the_machine_of_a_bridge(
+    foreign: dict[str, Any], tmp_path: Path
+) -> None:
+    foreign["/**"]["ros__parameters"]["variables"]["x2"]["max"] = 3.0
+    with pytest.raises(UserError, match=r"variables.x2.max is 3, outside the machine's limits"):
+        check(written(foreign, tmp_path / "bad.yaml"))
+
+
+def test_two_machines_are_refused(foreign: dict[str, Any], tmp_path: Path) -> None:
+    file = written(foreign, tmp_path / "file.yaml")
+    with pytest.raises(UserError, match="'machine_bridge'.*'python mine.py' of --machine"):
+        check(file, program="python mine.py")
+    assert check(file, program="python mine.py", program_yields=True).section == "machine_bridge"
+    both = {**foreign, "/**/awa_sim": {"ros__parameters": {"model": "toy"}}}
+    with pytest.raises(UserError, match="two machines.*'awa_sim'.*'machine_bridge'"):
+        check(written(both, tmp_path / "both.yaml"))
 
 
 def test_an_unknown_section_is_named(config: dict[str, Any], tmp_path: Path) -> None:
     config["tunner"] = config.pop("tuner")
-    file = tmp_path / "bad.yaml"
-    file.write_text(yaml.safe_dump(config))
-    with pytest.raises(UserError, match="the section 'tunner' is unknown"):
-        check(str(file))
+    file = written(config, tmp_path / "bad.yaml")
+    with pytest.raises(UserError, match="the section 'tunner' is unknown; allowed are"):
+        check(file)
+    del config["awa_sim"]
+    file = written(config, tmp_path / "bad.yaml")
+    with pytest.raises(UserError, match="'tunner' is unknown; did you mean 'tuner'"):
+        check(file, program="python mine.py")
 
 
-def test_the_command_says_it_and_exits_with_2(tmp_path: Path) -> None:
-    file = tmp_path / "bad.yaml"
-    file.write_text("a: 1")
-    done = subprocess.run(
-        [sys.executable, "-m", "awa_sim_node.check_config", str(file)],
+def test_a_program_may_have_a_section_of_its_own(config: dict[str, Any], tmp_path: Path) -> None:
+    config["my_machine"] = config.pop("awa_sim")
+    file = written(config, tmp_path / "file.yaml")
+    configuration = check(file, program="python mine.py")
+    assert (configuration.section, configuration.program) == ("", "python mine.py")
+    with pytest.raises(UserError, match="'my_machine' is unknown"):
+        check(file)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "{}",
+        "null",
+        '{"name": "a", "variables": {"x": {"min": "low"}}, "diagnostics": {}}',
+    ],
+)
+def test_what_is_not_a_description_is_refused(text: str) -> None:
+    with pytest.raises(DescriptionError):
+        MachineDescription.from_json(text)
+
+
+def test_a_description_is_read_as_it_was_written() -> None:
+    machine = MachineDescription(
+        "a", {"x": Variable(-1.0, 2.5, "mm")}, {"f": "MeV"}, 0.25, {"mapping": "/lab/m.yaml"}
+    )
+    assert MachineDescription.from_json(machine.to_json()) == machine
+
+
+# ------------------------------------------------------------------ copies for a run
+
+
+def test_a_file_is_copied_byte_by_byte_with_what_stands_beside_it(tmp_path: Path) -> None:
+    assert copy_to(tmp_path, check(CONFIG / "foreign.yaml")) == ["bridge_foreign.yaml"]
+    for copy, original in (("config", "foreign"), ("bridge_foreign", "bridge_foreign")):
+        content = (tmp_path / f"{copy}.yaml").read_bytes()
+        assert content == (CONFIG / f"{original}.yaml").read_bytes()
+
+
+@pytest.mark.parametrize("elsewhere", ["mappings/lab.yaml", "mappings/config.yaml", "{0}/lab.yaml"])
+def test_a_copy_names_the_copies_of_files_from_elsewhere(
+    foreign: dict[str, Any], tmp_path: Path, elsewhere: str
+) -> None:
+    mapping = tmp_path / elsewhere.format(tmp_path)
+    shutil.copy(CONFIG / "bridge_foreign.yaml", mapping)
+    foreign["machine_bridge"]["ros__parameters"]["mapping"] = elsewhere.format(
+        tmp_path / "mappings"
+    )
+    shutil.copy(CONFIG / "bridge_foreign.yaml", tmp_path / "mappings" / "lab.yaml")
+    before = check(written(foreign, tmp_path / "file.yaml"))
+    copies = tmp_path / "copies"
+    copies.mkdir()
+    assert copy_to(copies, before) == ["mapping.yaml"]
+    after = check(copies / "config.yaml")
+    assert after.machine is not None
+    assert after.machine.files == {"mapping": str(copies / "mapping.yaml")}
+    assert after.problem == before.problem
+
+
+# ------------------------------------------------------------------ the program
+
+
+def run_program(*words: str) -> subprocess.CompletedProcess[str]:
+    nodes = [f"--machine-node={section}={module}" for section, module in MODULES.items()]
+    return subprocess.run(
+        [sys.executable, "-m", "mobo_tuner.nodes.check_config", *nodes, *words],
         capture_output=True,
         text=True,
         timeout=60,
         check=False,
     )
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert "lacks the section '/**'" in done.stderr
-    assert done.stderr.count("\n") == 1
+
+
+def test_the_program_says_what_is_wrong_and_exits_with_2(tmp_path: Path) -> None:
+    file = tmp_path / "bad.yaml"
+    file.write_text("a: 1")
+    for words in ([str(file)], [str(file), "--explain"], [str(tmp_path / "nowhere")]):
+        done = run_program(*words)
+        assert done.returncode == 2
+        assert done.stdout == ""
+        assert done.stderr.count("\n") == 1
+        assert str(tmp_path) in done.stderr
+
+
+def test_the_program_tells_a_run_what_it_must_know(tmp_path: Path) -> None:
+    done = run_program(str(CONFIG / "foreign.yaml"), f"--copy-to={tmp_path}")
+    assert json.loads(done.stdout) == {
+        "section": "machine_bridge",
+        "machine": "foreign machine",
+        "files": ["bridge_foreign.yaml"],
+        "on_abort": "hold",
+    }
+    assert (tmp_path / "config.yaml").exists()

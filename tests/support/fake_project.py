@@ -19,9 +19,10 @@ ROOT = Path(__file__).resolve().parents[2]
 TIMEOUT = 20.0  # [s] for anything to happen
 
 PLAYER = """
-import json, os, signal, subprocess, sys, time
+import json, os, shutil, signal, subprocess, sys, time
 module = sys.argv[sys.argv.index("-m") + 1]
-name = {"node": "machine"}.get(module.rpartition(".")[2], module.rpartition(".")[2])
+name = module.rpartition(".")[2]
+name = {"node": "machine", "machine_bridge": "machine"}.get(name, name)
 behaviour = os.environ.get(f"PLAY_{name.upper()}", "")
 
 def note(text):
@@ -45,6 +46,13 @@ note(f"started {os.getpid()}")
 if name == "check_config":
     if behaviour == "refuse":
         sys.exit("reference of eps_x is 1.0; it must lie in its truncation box")
+    program = [word for word in sys.argv if word.startswith("--program=")]
+    section = "" if program or behaviour == "external" else "awa_sim"
+    [copies] = [word.partition("=")[2] for word in sys.argv if word.startswith("--copy-to=")]
+    config = next(word for word in sys.argv if word.endswith(".yaml"))
+    shutil.copy(config, os.path.join(copies, "config.yaml"))
+    on_abort = "restore" if behaviour == "goes back" else "hold"
+    print(json.dumps({"section": section, "files": [], "on_abort": on_abort}))
     sys.exit(0)
 if name == "pytest":
     print(*sys.argv[sys.argv.index("-m") + 2 :], os.environ.get("PYTHONPATH"))

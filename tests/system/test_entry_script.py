@@ -14,8 +14,9 @@ from typing import Any
 
 import pytest
 
-from launcher.conductor import EXIT_LIMIT, Program
+from launcher.programs import NodeProgram
 from launcher.run_folder import process_start
+from launcher.supervisor import EXIT_LIMIT
 from tests.support.fake_project import ROOT, TIMEOUT, FakeProject, wait_until
 
 ALL = ("machine", "tuner", "recorder", "console")
@@ -81,7 +82,7 @@ def test_help_names_every_verb() -> None:
 
 
 def test_parameters_reach_a_node_as_the_types_they_are(tmp_path: Path) -> None:
-    program = Program("program", "-", "tuner", ("run_id", "seed", "speed", "runs_dir"))
+    program = NodeProgram("program", "-", "tuner", ("run_id", "seed", "speed", "runs_dir"))
     values = {"run_id": "1e5", "seed": 3, "speed": 2.0, "runs_dir": Path("/it's here")}
     config = tmp_path / "config.yaml"
     sections = ("/**", "tuner")
@@ -110,7 +111,7 @@ rclpy.shutdown()
 
 
 def test_a_parameter_without_a_value_is_left_to_the_configuration() -> None:
-    program = Program("program", "package.tuner", "tuner", ("seed", "speed"))
+    program = NodeProgram("program", "package.tuner", "tuner", ("seed", "speed"))
     command = program.command(Path("python"), Path("config.yaml"), {"seed": 3, "speed": None})
     assert command == [
         *("python", "-P", "-m", "package.tuner", "--ros-args", "--params-file", "config.yaml"),

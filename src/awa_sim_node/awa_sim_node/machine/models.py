@@ -183,6 +183,15 @@ def behaviour_of(name: str, mode: Mode) -> Behaviour:
     return _model_class(name).modes[mode]
 
 
+def kinds_of(name: str) -> Mapping[str, Kind]:
+    """Return what each input of the machine called ``name`` is, quickly: nothing is loaded.
+
+    Raises:
+        ValueError: If there is no such machine.
+    """
+    return _model_class(name).kinds
+
+
 def _model_class(name: str) -> type[Model]:
     try:
         return _MODELS[name]

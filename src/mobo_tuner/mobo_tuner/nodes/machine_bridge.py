@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import sys
+
 from rclpy.executors import Executor
 from rclpy.node import Node
 
 from mobo_tuner.bridge.backend import BridgeBackend
+from mobo_tuner.bridge.describe import MACHINE_BRIDGE, mapping_file
 from mobo_tuner.bridge.mapping import load_mapping
 from mobo_tuner.machine.server import MachineServer
-from mobo_tuner.nodes.parameters import MACHINE_BRIDGE
 from mobo_tuner.ros.parameters import declare
 from mobo_tuner.ros.process import StartError, exit_process, run_node
 
@@ -29,7 +31,8 @@ class MachineBridge:
             path = str(declare(self.node, MACHINE_BRIDGE)["mapping"])
             if not path:
                 raise StartError("the parameter mapping is empty; it must name the mapping file")
-            backend = BridgeBackend(self.node, load_mapping(path), executor)
+            mapping = load_mapping(mapping_file(path, sys.argv))
+            backend = BridgeBackend(self.node, mapping, executor)
         except (StartError, ValueError):
             self.node.destroy_node()
             raise

@@ -32,7 +32,3 @@ CONSOLE = (
         maximum=3600.0,
     ),
 )
-
-MACHINE_BRIDGE = (
-    ParameterSpec("mapping", "", "the mapping file: which topic, service or action is what"),
-)

@@ -80,6 +80,31 @@ class ParameterSpec:
         return f"at most {high}" if math.isfinite(self.maximum) else ""
 
 
+def node_sections(content: Mapping[Any, Any]) -> dict[str, dict[str, Any]]:
+    """Return the parameters of each node in a parameter file, by the node's name.
+
+    The section ``/**``, which is for all nodes, is left out. ``tuner``, ``/tuner`` and ``/**/tuner``
+    all are sections of the node ``tuner``.
+
+    Raises:
+        ParameterError: If a section does not hold ``ros__parameters`` alone.
+    """
+    sections: dict[str, dict[str, Any]] = {}
+    for key, section in content.items():
+        if key == "/**":
+            continue
+        if not isinstance(section, Mapping) or list(section) != ["ros__parameters"]:
+            raise ParameterError(
+                f"the section '{key}' must hold 'ros__parameters' and nothing else"
+            )
+        parameters = section["ros__parameters"]
+        if not isinstance(parameters, Mapping):
+            raise ParameterError(f"'ros__parameters' of the section '{key}' must be a mapping")
+        name = str(key).removeprefix("/**").removeprefix("/")
+        sections.setdefault(name, {}).update(parameters)
+    return sections
+
+
 def check_section(
     where: str, section: Mapping[str, Any], specs: Sequence[ParameterSpec]
 ) -> dict[str, ParameterValue]:

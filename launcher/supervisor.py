@@ -1,8 +1,9 @@
-"""One tuning run's processes: what is started, what is watched, and in which order it ends."""
+"""The processes of one run: what is started, what is watched, and in which order it ends."""
 
 from __future__ import annotations
 
 import contextlib
+import signal
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
@@ -17,59 +18,21 @@ _STOP_PATIENCE = 4.0  # [s] for a node to end when asked to; one that hangs says
 _HURRIED_PATIENCE = 1.3  # [s] the same after a signal, once for each of the three steps
 _REPORT_TIMEOUT = 120.0  # [s]
 _RESERVE = 0.4  # [s] of EXIT_LIMIT kept for this script's own end
+_UNHANDLED_SIGINT = (-signal.SIGINT, 128 + signal.SIGINT)  # statuses of who was asked to stop
+_CANCELED = 130  # status of the foreground after a run that somebody canceled
 _LOG_TAIL = 5  # lines shown of the log of a node that died
 _SENTENCE_LIMIT = 500  # characters of another program's last words that are repeated
 
 
 @dataclass(frozen=True)
-class Program:
-    """A program of a run.
+class RunResult:
+    """What became of a run.
 
     Attributes:
-        name: of the program and its log file.
-        module: Python module that is run.
-        node: name of its ROS node.
-        parameters: ROS parameters it is given over those of the configuration.
-    """
-
-    name: str
-    module: str
-    node: str
-    parameters: tuple[str, ...] = ()
-
-    def command(self, python: Path, config: Path, values: Mapping[str, object]) -> list[str]:
-        """The command line; parameters without a value are left to the configuration.
-
-        They are given to the node by name: without, they would yield to the file's section of that
-        name.
-        """
-        given = [
-            argument
-            for name in self.parameters
-            if (value := values.get(name)) is not None
-            for argument in ("-p", f"{self.node}:{name}:={_as_yaml(value)}")
-        ]
-        ros = ["--ros-args", "--params-file", str(config), *given]
-        return [str(python), "-P", "-m", self.module, *ros]
-
-
-MACHINE = Program("machine", "awa_sim_node.node", "awa_sim", ("seed", "speed"))
-TUNER = Program("tuner", "mobo_tuner.nodes.tuner", "tuner", ("seed", "runs_dir"))
-RECORDER = Program("recorder", "mobo_tuner.nodes.recorder", "recorder", ("bag_path",))
-CONSOLE = Program(
-    "console", "mobo_tuner.nodes.console", "console", ("run_id", "evaluations", "resume_from")
-)
-
-
-@dataclass(frozen=True)
-class Ending:
-    """How a run ended.
-
-    Attributes:
-        state: as in `run.json`: 'finished', 'failed' or 'interrupted'.
-        reason: one sentence that says why, unless it finished.
-        exit_status: of the entry script.
-        details: lines that help to find the cause.
+        state: State of the run in `run.json`: 'finished', 'failed', 'canceled' or 'interrupted'.
+        reason: One sentence that says why, unless it finished.
+        exit_status: Exit status of the entry script.
+        details: Lines that help to find the cause.
     """
 
     state: str
@@ -79,29 +42,39 @@ class Ending:
 
 
 @dataclass(frozen=True)
+class Command:
+    """A command line, and the working folder of its process."""
+
+    words: Sequence[str]
+    folder: Path
+
+
+@dataclass(frozen=True)
 class Launch:
     """What is started for a run.
 
     Attributes:
-        commands: command line of every program, by name.
-        foreground: name of the one that talks to the user; the run lasts as long as it does.
-        last: name of the one that is stopped after all others, since it records them.
-        environment: environment variables of all.
-        folder: of the run; logs go to its `log`.
+        commands: Command of each program, by the program's name.
+        foreground: Name of the program that talks to the user; the run lasts as long as it does.
+        last: Name of the program that is stopped after all others, since it records them.
+        environment: Environment variables of all programs.
+        folder: Folder of the run; logs go to its `log`.
+        goes_back: Whether the machine is moved after a cancel, which takes its time.
     """
 
-    commands: Mapping[str, Sequence[str]]
+    commands: Mapping[str, Command]
     foreground: str
     last: str
     environment: Mapping[str, str]
     folder: Path
+    goes_back: bool = False
 
     def log(self, name: str) -> Path:
-        """Where what a program prints goes."""
+        """Return the file that gets what a program prints."""
         return self.folder / "log" / f"{name}.log"
 
 
-class Conductor:
+class Supervisor:
     """Starts the programs of a run, watches over them and stops them in order."""
 
     def __init__(self, processes: Processes, launch: Launch) -> None:
@@ -110,7 +83,7 @@ class Conductor:
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         self._deadline = float("inf")  # of everything, once a signal came
 
-    def run(self) -> Ending:
+    def run(self) -> RunResult:
         """Run to the end, whatever it is; every program has ended when this returns.
 
         Raises:
@@ -118,18 +91,18 @@ class Conductor:
         """
         try:
             self._start()
-            ending = self._watch()
+            result = self._watch()
         except Interrupted as interruption:
-            ending = self._hurry(interruption)
+            result = self._interrupt(interruption)
         foreground, last = self._launch.foreground, self._launch.last
         nodes = [name for name in self._running if name not in (foreground, last)]
         for names in ([foreground], nodes, [last]):
             try:
                 self._stop(names)
             except Interrupted as interruption:  # comes once, so that the second try is left alone
-                ending = self._hurry(interruption)
+                result = self._hurry(interruption)
                 self._stop(names)
-        return self._judge() if ending.state == "finished" else ending
+        return self._judge() if result.state == "finished" else result
 
     def report(self, command: Sequence[str]) -> str:
         """Run the program that makes the report.
@@ -161,14 +134,14 @@ class Conductor:
             in_foreground = name == self._launch.foreground
             with self._launch.log(name).open("wb") as log:
                 self._running[name] = self._processes.start(
-                    command,
+                    command.words,
                     environment=self._launch.environment,
-                    cwd=self._launch.folder,
+                    cwd=command.folder,
                     stdout=None if in_foreground else log,
                     stderr=log,
                 )
 
-    def _watch(self) -> Ending:
+    def _watch(self) -> RunResult:
         """Wait until the foreground ends, or a node dies and the foreground has had its chance."""
         foreground = self._running[self._launch.foreground]
         self._processes.wait_until(
@@ -179,12 +152,27 @@ class Conductor:
             self._processes.wait(foreground, _FAREWELL)
             how = describe_status(self._running[dead].returncode)
             return self._failure(f"the {dead} node {how}", dead)
+        if foreground.returncode == _CANCELED:
+            return RunResult("canceled", "the run was canceled by another client", _CANCELED)
         if foreground.returncode != 0:
             words = self._last_words(self._launch.foreground, foreground.returncode)
-            return Ending("failed", f"the run failed: {words}", 1)
-        return Ending("finished")
+            return RunResult("failed", f"the run failed: {words}", 1)
+        return RunResult("finished")
 
-    def _hurry(self, interruption: Interrupted) -> Ending:
+    def _interrupt(self, interruption: Interrupted) -> RunResult:
+        """Take the first signal: Ctrl-C lets the machine go back first, if it does; a second not."""
+        foreground = self._running.get(self._launch.foreground)
+        if self._launch.goes_back and interruption.number == signal.SIGINT and foreground:
+            try:
+                self._processes.interrupt(foreground)
+                self._processes.heed_next_signal()
+                self._processes.wait(foreground, float("inf"))
+            except Interrupted as another:
+                self._processes.interrupt(foreground, again=True)
+                interruption = another
+        return self._hurry(interruption)
+
+    def _hurry(self, interruption: Interrupted) -> RunResult:
         """From here on there is little time."""
         self._deadline = time.monotonic() + EXIT_LIMIT
         return interrupted(interruption)
@@ -196,19 +184,20 @@ class Conductor:
             _HURRIED_PATIENCE if hurried else _STOP_PATIENCE,
         )
 
-    def _judge(self) -> Ending:
-        """The ending of a run that went well, unless a node did not end well."""
+    def _judge(self) -> RunResult:
+        """The result of a run that went well, unless a node did not end well."""
         for name, process in self._running.items():
-            if process.returncode != 0:
+            unhandled = name != self._launch.last and process.returncode in _UNHANDLED_SIGINT
+            if process.returncode != 0 and not unhandled:
                 how = describe_status(process.returncode)
                 return self._failure(f"the {name} node {how} when the run was over", name)
-        return Ending("finished")
+        return RunResult("finished")
 
-    def _failure(self, what: str, name: str) -> Ending:
+    def _failure(self, what: str, name: str) -> RunResult:
         log = self._launch.log(name)
         tail = [f"    {line}" for line in _lines(log)[-_LOG_TAIL:]]
         details = (f"    the end of {log}:", *tail) if tail else ()
-        return Ending("failed", f"the run failed: {what}", 1, details)
+        return RunResult("failed", f"the run failed: {what}", 1, details)
 
     def _dead_node(self) -> str | None:
         """The first node found dead, if any."""
@@ -223,9 +212,9 @@ class Conductor:
         return lines[-1][:_SENTENCE_LIMIT] if lines else f"the {name} {describe_status(status)}"
 
 
-def interrupted(interruption: Interrupted) -> Ending:
-    """The ending of a run that a signal cut short."""
-    return Ending("interrupted", f"the run was {interruption}", interruption.exit_status)
+def interrupted(interruption: Interrupted) -> RunResult:
+    """The result of a run that a signal cut short."""
+    return RunResult("interrupted", f"the run was {interruption}", interruption.exit_status)
 
 
 def _lines(log: Path) -> list[str]:
@@ -234,10 +223,3 @@ def _lines(log: Path) -> list[str]:
         text = log.read_text(errors="replace")
         return [line for line in text.splitlines() if line.strip()]
     return []
-
-
-def _as_yaml(value: object) -> str:
-    """A parameter's value as `-p name:=` takes it; text is quoted lest it pass for a number."""
-    if isinstance(value, str | Path):
-        return "'" + str(value).replace("'", "''") + "'"
-    return repr(value)

@@ -1,0 +1,31 @@
+"""Errors for the user of the entry script; the message of each is one sentence."""
+
+from __future__ import annotations
+
+
+class LauncherError(Exception):
+    """What a verb was asked for cannot be done, or was not.
+
+    Attributes:
+        exit_status: Exit status of the entry script.
+    """
+
+    exit_status = 1
+
+
+class UsageError(LauncherError):
+    """The command line, or a file that it names, is wrong."""
+
+    exit_status = 2
+
+
+class SetupError(LauncherError):
+    """The virtual environment cannot be set up."""
+
+
+class DomainError(LauncherError):
+    """No ROS domain can be had."""
+
+
+class RunFolderError(LauncherError):
+    """The folder of a run cannot be made or read."""

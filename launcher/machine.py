@@ -1,0 +1,166 @@
+"""Which machine a run has: one whose node the run starts, or one that is there already."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from launcher.errors import UsageError
+from launcher.programs import NodeProgram
+from launcher.ros_domain import LAST as LAST_DOMAIN
+
+
+@dataclass(frozen=True)
+class MachineNode:
+    """A machine's node that a section of the parameter file chooses.
+
+    Attributes:
+        program: The node's program; its `node` is the name of the section.
+        description: Module that describes the machine of a file.
+        is_simulated: Whether the machine is inside the node; else it is in the lab's ROS domain.
+    """
+
+    program: NodeProgram
+    description: str
+    is_simulated: bool = False
+
+
+MACHINE_NODES = {
+    node.program.node: node
+    for node in (
+        MachineNode(
+            NodeProgram("machine", "awa_sim_node.node", "awa_sim", ("seed", "speed")),
+            "awa_sim_node.describe",
+            is_simulated=True,
+        ),
+        MachineNode(
+            NodeProgram("machine", "mobo_tuner.nodes.machine_bridge", "machine_bridge"),
+            "mobo_tuner.bridge.describe",
+        ),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Machine:
+    """The machine of a run; with neither a section nor a command it is there already.
+
+    Attributes:
+        section: Section of the parameter file that chooses it.
+        files: Names of the files beside the parameter file that its node reads.
+        command: Command of `--machine` that starts its node.
+        folder: Working folder of the command.
+    """
+
+    section: str = ""
+    files: Sequence[str] = ()
+    command: str = ""
+    folder: Path = field(default_factory=Path.cwd)
+
+    @classmethod
+    def from_facts(cls, facts: Mapping[str, Any]) -> Machine:
+        """Return the machine of an earlier run, as its `run.json` describes it."""
+        machine = facts.get("machine")
+        if not isinstance(machine, Mapping):
+            return cls()
+        return cls(
+            section=str(machine.get("section", "")),
+            files=tuple(map(str, machine.get("files", ()))),
+            command=str(machine.get("command", "")),
+            folder=Path(machine.get("folder", Path.cwd())),
+        )
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What `run.json` says of the machine."""
+        if self.section:
+            return {"section": self.section, "files": list(self.files)}
+        if self.command:
+            return {"command": self.command, "folder": str(self.folder)}
+        return {"external": True}
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """Options of the command line that the machine's node takes as parameters."""
+        node = MACHINE_NODES.get(self.section)
+        return node.program.parameters if node else ()
+
+    @property
+    def needs_private_domain(self) -> bool:
+        """Whether nothing that is there already belongs to the machine."""
+        return bool(self.command) or (
+            self.section in MACHINE_NODES and MACHINE_NODES[self.section].is_simulated
+        )
+
+    def start_command(
+        self, python: Path, config: Path, values: Mapping[str, object]
+    ) -> list[str] | None:
+        """Return the command that starts the machine's node; None if it is there already."""
+        if self.section:
+            return MACHINE_NODES[self.section].program.command(python, config, values)
+        if self.command:
+            return [*split(self.command), "--ros-args", "--params-file", str(config)]
+        return None
+
+    def check_program(self, path: str) -> None:
+        """Check that the program of the command is there.
+
+        Args:
+            path: Folders where programs are looked for.
+
+        Raises:
+            UsageError: If it is not.
+        """
+        if not self.command:
+            return
+        program = split(self.command)[0]
+        where = str(self.folder / program) if os.sep in program else program
+        if not self.folder.is_dir() or shutil.which(where, path=path) is None:
+            raise UsageError(
+                f"--machine is '{self.command}', and there is no program '{program}' to start"
+                + (f" in '{self.folder}'" if os.sep in program else "")
+            )
+
+
+def split(command: str) -> list[str]:
+    """Return the words of a command, of which there is at least one.
+
+    Raises:
+        UsageError: If it has no words, or a quotation that does not end.
+    """
+    try:
+        words = shlex.split(command)
+    except ValueError as error:
+        raise UsageError(f"--machine is '{command}', which is not a command: {error}") from None
+    if not words:
+        raise UsageError(f"--machine is '{command}'; it must be a command that starts a program")
+    return words
+
+
+def shared_domain(asked: int | None, earlier: int | None) -> tuple[int, str]:
+    """Return the ROS domain in which a machine is expected, and who says so.
+
+    Args:
+        asked: Domain of `--domain-id`.
+        earlier: Domain of the run that is resumed.
+
+    Raises:
+        UsageError: If the environment names a domain that is not allowed.
+    """
+    if asked is not None:
+        return asked, "--domain-id"
+    if earlier is not None:
+        return earlier, "the domain of the run that is resumed"
+    text = os.environ.get("ROS_DOMAIN_ID", "")
+    if not text:
+        return 0, "ROS_DOMAIN_ID is not set"
+    if not (text.isdecimal() and len(text) < 4 and int(text) <= LAST_DOMAIN):
+        raise UsageError(
+            f"ROS_DOMAIN_ID is '{text}'; an integer from 0 to {LAST_DOMAIN} is allowed"
+        )
+    return int(text), "ROS_DOMAIN_ID"

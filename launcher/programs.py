@@ -1,0 +1,134 @@
+"""The project's own programs: the nodes of a run, and those that answer one question."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from launcher.environment import STAGES, Environment, Stage, clean_environment
+from launcher.errors import UsageError
+from launcher.processes import Processes
+
+# One thread each: the processes of a run share the cores.
+THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+ANSWER_TIMEOUT = 60.0  # [s] for a check of a file, or a report
+LONG = 3600.0  # [s] for what takes as long as the suggestions of a run
+
+
+@dataclass(frozen=True)
+class NodeProgram:
+    """A program that runs one ROS node.
+
+    Attributes:
+        name: Name of the program and of its log file.
+        module: Python module that is run.
+        node: Name of its ROS node.
+        parameters: ROS parameters that it is given over those of the parameter file.
+    """
+
+    name: str
+    module: str
+    node: str
+    parameters: tuple[str, ...] = ()
+
+    def command(self, python: Path, config: Path, values: Mapping[str, object]) -> list[str]:
+        """Return the command line; parameters without a value are left to the parameter file.
+
+        They are given to the node by name: without it, they would yield to the file's section of
+        that name.
+        """
+        given = [
+            argument
+            for name in self.parameters
+            if (value := values.get(name)) is not None
+            for argument in ("-p", f"{self.node}:{name}:={_as_yaml(value)}")
+        ]
+        ros = ["--ros-args", "--params-file", str(config), *given]
+        return [str(python), "-P", "-m", self.module, *ros]
+
+
+TUNER = NodeProgram("tuner", "mobo_tuner.nodes.tuner", "tuner", ("seed", "runs_dir"))
+RECORDER = NodeProgram("recorder", "mobo_tuner.nodes.recorder", "recorder", ("bag_path",))
+CONSOLE = NodeProgram(
+    "console", "mobo_tuner.nodes.console", "console", ("run_id", "evaluations", "resume_from")
+)
+
+
+@dataclass(frozen=True)
+class Project:
+    """The project, ready for use.
+
+    Attributes:
+        environment: Virtual environment of its programs.
+        processes: Starts and ends them.
+    """
+
+    environment: Environment
+    processes: Processes
+
+    @property
+    def search_path(self) -> str:
+        """`PATH` of its programs: `python` is that of the virtual environment."""
+        inherited = os.environ.get("PATH", os.defpath)
+        return os.pathsep.join((str(self.environment.python.parent), inherited))
+
+    def ask(
+        self, module: str, *arguments: object, show: bool = False, timeout: float = ANSWER_TIMEOUT
+    ) -> str:
+        """Run one of the programs and return what it prints.
+
+        Its last line on standard error says what is wrong.
+
+        Args:
+            module: Module of the program.
+            arguments: Arguments of the program.
+            show: Whether it prints to this script's output instead.
+            timeout: Longest time that it may take [s].
+
+        Raises:
+            UsageError: If something is wrong.
+            Interrupted: If a signal came.
+        """
+        with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as complaint:
+            process = self.processes.start(
+                [str(self.environment.python), "-P", "-m", module, *map(str, arguments)],
+                environment=clean_environment(**THREADS, MPLBACKEND="Agg"),
+                cwd=Path.cwd(),
+                stdout=None if show else output,
+                stderr=complaint,
+            )
+            status = self.processes.wait(process, timeout)
+            for stream in (output, complaint):
+                stream.seek(0)
+            words = complaint.read().decode(errors="replace").strip().splitlines()
+            answer = output.read().decode(errors="replace")
+        if status is None:
+            raise UsageError(f"{module} was not done after {timeout:.0f} s")
+        if status != 0:
+            raise UsageError(words[-1] if words else f"{module} ended with status {status}")
+        return answer
+
+
+@contextmanager
+def open_project(root: Path, stages: Sequence[Stage] = STAGES) -> Iterator[Project]:
+    """Set the project up; at the end of the block no process is left.
+
+    Raises:
+        SetupError: If it cannot be set up.
+        Interrupted: If a signal came.
+    """
+    with Processes() as processes:
+        environment = Environment(root, stages)
+        environment.set_up(processes)
+        yield Project(environment, processes)
+
+
+def _as_yaml(value: object) -> str:
+    """Return a parameter's value as `-p name:=` takes it; text is quoted, or might be a number."""
+    if isinstance(value, str | Path):
+        return "'" + str(value).replace("'", "''") + "'"
+    return repr(value)

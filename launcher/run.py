@@ -1,0 +1,370 @@
+"""The verbs `run` and `resume`: check, start the nodes, tune, record, report, stop everything."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from launcher.environment import clean_environment
+from launcher.errors import LauncherError, UsageError
+from launcher.machine import MACHINE_NODES, Machine, shared_domain
+from launcher.processes import Interrupted
+from launcher.programs import CONSOLE, RECORDER, THREADS, TUNER, Project, open_project
+from launcher.ros_domain import RosDomain
+from launcher.run_folder import CONFIG_FILE, RunFolder, process_start
+from launcher.supervisor import Command, Launch, RunResult, Supervisor, interrupted
+
+_RECORDED_VERSIONS = (
+    "mobo_tuner",
+    "awa_sim_node",
+    "mobo_msgs_py",
+    "ros-jazzy-rclpy",
+    "torch",
+    "numpy",
+    "scipy",
+    "numba",
+    "rosbags",
+)
+
+
+class UnsuccessfulRunError(LauncherError):
+    """A run did not end well; the message is for the user."""
+
+    def __init__(self, result: RunResult) -> None:
+        super().__init__("\n".join((result.reason, *result.details)))
+        self.exit_status = result.exit_status
+
+
+@dataclass(frozen=True)
+class CheckedConfig:
+    """A parameter file that was checked, and copied with all its nodes need beside it.
+
+    Attributes:
+        source: Path of the file that the user gave.
+        copies: Folder of the copies.
+        machine: Machine that it chooses.
+        goes_back: Whether the machine is moved after a cancel.
+    """
+
+    source: Path
+    copies: Path
+    machine: Machine
+    goes_back: bool
+
+
+def run(options: argparse.Namespace) -> None:
+    """Tune the machine of a parameter file, once.
+
+    Raises:
+        UsageError, SetupError, DomainError, RunFolderError, UnsuccessfulRunError, Interrupted,
+        OSError
+    """
+    config: Path = options.config.resolve()
+    if not config.is_file():
+        raise UsageError(f"the configuration '{options.config}' is not a file")
+    runs_dir: Path = options.runs_dir.resolve()
+    if options.run_id and (runs_dir / options.run_id).exists():
+        raise UsageError(
+            f"the run '{options.run_id}' exists already in '{runs_dir}', "
+            "and no run is ever overwritten"
+        )
+    with open_project(options.root) as project:
+        with tempfile.TemporaryDirectory() as scratch:
+            machine = Machine(command=options.machine or "")
+            checked = _check(project, config, Path(scratch), machine)
+            _check_speed(options, checked.machine)
+            domain = _open_domain(options, checked.machine)
+            folder = RunFolder.create(runs_dir, options.run_id, config.stem)
+            folder.adopt(checked.copies)
+        with domain:
+            _carry_out(project, checked, folder, domain, options)
+
+
+def resume(options: argparse.Namespace) -> None:
+    """Continue a run in a new one beside it, which begins with its evaluations.
+
+    Raises:
+        UsageError, SetupError, DomainError, RunFolderError, UnsuccessfulRunError, Interrupted,
+        OSError
+    """
+    earlier = RunFolder.find(options.run, options.runs_dir)
+    facts = earlier.facts()
+    if facts.get("state") == "running":
+        raise UsageError(f"the run '{earlier.run_id}' is going on; stop it first")
+    if options.config is not None and not options.config.is_file():
+        raise UsageError(f"the configuration '{options.config}' is not a file")
+    with open_project(options.root) as project:
+        with tempfile.TemporaryDirectory() as scratch:
+            config = _config_to_resume(project, earlier, Path(scratch), options)
+            checked = _check_again(project, config, Path(scratch), earlier, options)
+            if options.config is None:
+                checked = replace(checked, source=earlier.path / CONFIG_FILE)
+            _check_speed(options, checked.machine)
+            arguments = facts.get("arguments") or {}
+            options.seed = arguments.get("seed")
+            if options.speed is None and "speed" in checked.machine.options:
+                options.speed = arguments.get("speed")
+            was_external = Machine.from_facts(facts).facts == checked.machine.facts
+            domain = _open_domain(
+                options, checked.machine, facts.get("domain_id") if was_external else None
+            )
+            folder = RunFolder.create_after(earlier, options.run_id)
+            folder.adopt(checked.copies)
+        with domain:
+            _carry_out(project, checked, folder, domain, options, earlier.run_id)
+
+
+def check_arguments(command: str) -> list[str]:
+    """Return the options of the check of a parameter file: which machines there are.
+
+    Args:
+        command: Command of `--machine`; empty if there is none.
+    """
+    nodes = [f"--machine-node={name}={node.description}" for name, node in MACHINE_NODES.items()]
+    return [*nodes, *([f"--program={command}"] if command else [])]
+
+
+def _check(
+    project: Project, config: Path, scratch: Path, machine: Machine, *further: str
+) -> CheckedConfig:
+    """Check a parameter file with the machine of the command line, if any, and copy it.
+
+    Args:
+        project: Project whose program checks it.
+        config: Path of the file.
+        scratch: Folder in which the copies are made.
+        machine: Machine of the command line; the file may choose another.
+        further: Further options of the check.
+
+    Raises:
+        UsageError: If something is wrong.
+    """
+    machine.check_program(project.search_path)
+    copies = scratch / "copies"
+    copies.mkdir()
+    answer = project.ask(
+        "mobo_tuner.nodes.check_config",
+        config,
+        *check_arguments(machine.command),
+        f"--copy-to={copies}",
+        *further,
+    )
+    said: Mapping[str, Any] = json.loads(answer)
+    if said["section"]:
+        machine = Machine(section=said["section"], files=tuple(said["files"]))
+    return CheckedConfig(config, copies, machine, said["on_abort"] != "hold")
+
+
+def _config_to_resume(
+    project: Project,
+    earlier: RunFolder,
+    scratch: Path,
+    options: argparse.Namespace,
+) -> Path:
+    """Return the path of the parameter file with which a run is resumed.
+
+    Raises:
+        UsageError: If the run cannot be resumed with it.
+    """
+    folder = scratch / "config"
+    folder.mkdir()
+    config = folder / CONFIG_FILE
+    given = ["--config", options.config.resolve()] if options.config else []
+    if options.evaluations:
+        given += ["--evaluations", options.evaluations]
+    module = "mobo_tuner.runs.resume_config"
+    project.ask(module, earlier.path, config, *given)
+    if options.config is not None:
+        return Path(options.config.resolve())
+    for name in Machine.from_facts(earlier.facts()).files:
+        with contextlib.suppress(FileNotFoundError):  # the check of the file will say so
+            shutil.copyfile(earlier.path / name, folder / name)
+    return config
+
+
+def _check_again(
+    project: Project,
+    config: Path,
+    scratch: Path,
+    earlier: RunFolder,
+    options: argparse.Namespace,
+) -> CheckedConfig:
+    """Check the parameter file of a run that is resumed, with the machine that the run had.
+
+    Another machine is taken where the command line or the file names one.
+
+    Raises:
+        UsageError: If something is wrong.
+    """
+    before = Machine.from_facts(earlier.facts())
+    if options.machine:
+        return _check(project, config, scratch, Machine(command=options.machine))
+    default = before if before.command else Machine()
+    checked = _check(project, config, scratch, default, "--program-yields")
+    if before.section and not checked.machine.section:
+        raise UsageError(
+            f"'{options.config}' names no machine, and the run '{earlier.run_id}' had that of its "
+            f"section '{before.section}'; add that section, or start a program by --machine"
+        )
+    return checked
+
+
+def _check_speed(options: argparse.Namespace, machine: Machine) -> None:
+    """Refuse an option that the machine's node would not hear of.
+
+    Raises:
+        UsageError: If it is given.
+    """
+    if options.speed is not None and "speed" not in machine.options:
+        raise UsageError(f"--speed is {options.speed:g}; only a simulated machine has a speed")
+
+
+def _open_domain(
+    options: argparse.Namespace, machine: Machine, earlier: int | None = None
+) -> RosDomain:
+    """Take the ROS domain of a run: one of its own, or that in which its machine is.
+
+    Raises:
+        DomainError: If it is taken.
+        UsageError: If the environment names one that is not allowed.
+    """
+    domain_id = options.domain_id
+    if not machine.needs_private_domain:
+        domain_id, why = shared_domain(domain_id, earlier)
+        print(f"the machine is expected in ROS domain {domain_id} ({why})", flush=True)
+    return RosDomain(domain_id, network=options.network)
+
+
+def _carry_out(
+    project: Project,
+    checked: CheckedConfig,
+    folder: RunFolder,
+    domain: RosDomain,
+    options: argparse.Namespace,
+    resumed_from: str | None = None,
+) -> None:
+    """Carry out a run in its folder; the last line that is printed is the folder's path.
+
+    Raises:
+        UnsuccessfulRunError: If it did not end well.
+        OSError: If the folder cannot be written.
+    """
+    facts = {
+        "run_id": folder.run_id,
+        "state": "running",
+        "started": now(),
+        "pid": os.getpid(),
+        "pid_started": process_start(os.getpid()),
+        "domain_id": domain.id,
+        "machine": checked.machine.facts,
+        "arguments": {
+            "config": str(checked.source),
+            "evaluations": options.evaluations,
+            "seed": options.seed,
+            "speed": options.speed,
+        },
+        "versions": _versions(project.environment.folder),
+    }
+    if resumed_from is not None:
+        facts["resumed_from"] = resumed_from
+    values = {
+        "seed": options.seed,
+        "speed": options.speed,
+        "runs_dir": folder.path.parent,
+        "bag_path": folder.path / "bag",
+        "run_id": folder.run_id,
+        "evaluations": options.evaluations,
+        "resume_from": resumed_from,
+    }
+    result = RunResult("failed", "the run failed: mobo.py met an error of its own", 1)
+    try:
+        folder.record(facts)
+        result = _tune(project, checked, folder, domain, values)
+    except Interrupted as interruption:
+        result = interrupted(interruption)
+    finally:
+        facts |= {"state": result.state, "reason": result.reason, "ended": now()}
+        folder.record(facts)
+        print(folder.path, flush=True)
+    if result.exit_status:
+        raise UnsuccessfulRunError(result)
+
+
+def _tune(
+    project: Project,
+    checked: CheckedConfig,
+    folder: RunFolder,
+    domain: RosDomain,
+    values: Mapping[str, object],
+) -> RunResult:
+    """Run the nodes until the console is done, and make the report."""
+    config, python = folder.path / CONFIG_FILE, project.environment.python
+    commands = {}
+    machine = checked.machine.start_command(python, config, values)
+    if machine is not None:
+        in_folder = checked.machine.folder if checked.machine.command else folder.path
+        commands["machine"] = Command(machine, in_folder)
+    for program in (TUNER, RECORDER, CONSOLE):
+        commands[program.name] = Command(program.command(python, config, values), folder.path)
+    launch = Launch(
+        commands=commands,
+        foreground=CONSOLE.name,
+        last=RECORDER.name,
+        environment=clean_environment(
+            **domain.environment,
+            **THREADS,
+            PATH=project.search_path,
+            PYTHONUNBUFFERED="1",
+            MPLBACKEND="Agg",
+            ROS_LOG_DIR=str(folder.path / "log"),
+        ),
+        folder=folder.path,
+        goes_back=checked.goes_back,
+    )
+    print(f"run {folder.run_id} in ROS domain {domain.id}; to join from another terminal:")
+    print("  export " + " ".join(f"{k}={v}" for k, v in domain.environment.items()), flush=True)
+    supervisor = Supervisor(project.processes, launch)
+    result = supervisor.run()
+    if folder.has_journal or result.state == "finished":
+        failure = supervisor.report(
+            [str(python), "-P", "-m", "mobo_tuner.runs.report", str(folder.path)]
+        )
+        if failure and result.state == "finished":
+            return RunResult("failed", failure, 1)
+    if result.state == "finished":
+        return _judge(folder)
+    return result
+
+
+def _judge(folder: RunFolder) -> RunResult:
+    """Return what became of a run that came to its end: one without a valid evaluation failed."""
+    summary = folder.summary()
+    failed = summary.get("failed")
+    if not failed or failed != summary.get("evaluations"):
+        return RunResult("finished")
+    reason = f"the run failed: all of its {failed} evaluations failed"
+    last = folder.last_error()
+    return RunResult("failed", f"{reason}, the last one because {last}" if last else reason, 1)
+
+
+def now() -> str:
+    """Return the local time with its offset from UTC."""
+    return datetime.now().astimezone().isoformat(timespec="seconds")
+
+
+def _versions(folder: Path) -> dict[str, str]:
+    """Return the versions of what a virtual environment holds and a run depends on."""
+    packages = [str(path) for path in folder.glob("lib/python3.*/site-packages")]
+    found = metadata.distributions(path=packages)
+    wanted = {d.name: d.version for d in found if d.name in _RECORDED_VERSIONS}
+    return {"python": (folder / "bin" / "python").resolve().name, **dict(sorted(wanted.items()))}

@@ -1,0 +1,133 @@
+"""The verbs of `mobo.py` that start no run."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+from launcher.environment import DEVELOPMENT_STAGES, STAGES, clean_environment
+from launcher.errors import LauncherError, RunFolderError, UsageError
+from launcher.processes import Interrupted
+from launcher.programs import LONG, THREADS, open_project
+from launcher.run import check_arguments, now
+from launcher.run_folder import JOURNAL_FILE, RunFolder, table
+from launcher.supervisor import EXIT_LIMIT
+
+TEST_TIMEOUT = 3600.0  # [s]
+_PARALLEL_TESTS = ("-n", "2", "--dist", "loadfile")
+
+
+def check(options: argparse.Namespace) -> None:
+    """Say what a parameter file means, without starting anything.
+
+    Raises:
+        UsageError, SetupError, Interrupted, OSError
+    """
+    if not options.config.is_file():
+        raise UsageError(f"the configuration '{options.config}' is not a file")
+    with open_project(options.root) as project:
+        module = "mobo_tuner.nodes.check_config"
+        arguments = check_arguments(options.machine or "")
+        arguments += ["--explain"]
+        project.ask(module, options.config, *arguments, show=True)
+
+
+def test(root: Path, arguments: list[str]) -> int:
+    """Run the tests with pytest's arguments, or all of them in parallel; return pytest's status.
+
+    Raises:
+        SetupError, Interrupted, OSError
+    """
+    with open_project(root, (*STAGES, *DEVELOPMENT_STAGES)) as project:
+        process = project.processes.start(
+            [str(project.environment.python), "-m", "pytest", *(arguments or _PARALLEL_TESTS)],
+            environment=clean_environment(**THREADS, MPLBACKEND="Agg"),
+            cwd=root,
+            stdin=None,
+        )
+        try:
+            status = project.processes.wait(process, TEST_TIMEOUT)
+        except Interrupted:
+            project.processes.stop([process], patience=EXIT_LIMIT - 1.5)
+            raise
+    if status is None:
+        raise LauncherError(f"the tests were not done after {TEST_TIMEOUT:.0f} s")
+    return status
+
+
+def list_runs(options: argparse.Namespace) -> None:
+    """Print the runs in a folder as a table.
+
+    Raises:
+        RunFolderError: the folder cannot be read.
+    """
+    rows = []
+    for folder in RunFolder.all(options.runs_dir):
+        try:
+            rows.append(folder.row())
+        except RunFolderError as error:
+            print(f"mobo.py: {error}", file=sys.stderr)
+            rows.append([folder.run_id, "unreadable", "-", "-", "-"])
+    if not rows:
+        print(f"there are no runs in '{options.runs_dir}'")
+        return
+    header = ["run", "state", "evaluations", "hypervolume", "started"]
+    print("\n".join(table(header, rows)))
+
+
+def show(options: argparse.Namespace) -> None:
+    """Print what came out of a run.
+
+    Raises:
+        RunFolderError: there is no such run, or it cannot be read.
+    """
+    print(RunFolder.find(options.run, options.runs_dir).description())
+
+
+def report(options: argparse.Namespace) -> None:
+    """Make the report of a run anew, from its journal.
+
+    Raises:
+        UsageError, SetupError, RunFolderError, Interrupted, OSError
+    """
+    folder = RunFolder.find(options.run, options.runs_dir)
+    with open_project(options.root) as project:
+        project.ask("mobo_tuner.runs.report", folder.path, show=True)
+    print(folder.path)
+
+
+def rebuild(options: argparse.Namespace) -> None:
+    """Make a run anew from its bag alone.
+
+    Raises:
+        UsageError, SetupError, RunFolderError, Interrupted, OSError
+    """
+    bag: Path = options.bag.resolve()
+    with open_project(options.root) as project, tempfile.TemporaryDirectory() as scratch:
+        which = ["--of", options.of] if options.of else []
+        arguments = (bag, scratch, *which)
+        project.ask("mobo_tuner.runs.rebuild", *arguments, timeout=LONG)
+        folder = RunFolder.create(options.runs_dir, options.run_id, "rebuilt")
+        shutil.copy(Path(scratch, JOURNAL_FILE), folder.path)
+        folder.record(
+            {"run_id": folder.run_id, "state": "rebuilt", "started": now(), "bag": str(bag)}
+        )
+        project.ask("mobo_tuner.runs.report", folder.path, show=True)
+    print(folder.path)
+
+
+def replay(options: argparse.Namespace) -> None:
+    """Ask for every suggestion of a run again, and say whether they are the same.
+
+    Raises:
+        UsageError, SetupError, RunFolderError, Interrupted, OSError
+    """
+    path = Path(options.run)
+    if not (path.suffix == ".mcap" or any(path.glob("*.mcap"))):
+        path = RunFolder.find(options.run, options.runs_dir).path
+    with open_project(options.root) as project:
+        module = "mobo_tuner.runs.replay"
+        project.ask(module, path.resolve(), show=True, timeout=LONG)

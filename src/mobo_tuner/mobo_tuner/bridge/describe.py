@@ -1,0 +1,82 @@
+"""What the bridged machine of a parameter file is: `python -m mobo_tuner.bridge.describe FILE`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+from mobo_tuner.bridge.mapping import MachineMapping, load_mapping
+from mobo_tuner.bridge.ramp import count_steps
+from mobo_tuner.errors import ParameterError
+from mobo_tuner.files import load_yaml
+from mobo_tuner.machine.description import MachineDescription, Variable, print_description
+from mobo_tuner.ros.parameters import ParameterSpec, check_section, node_sections
+
+NODE = "machine_bridge"
+MACHINE_BRIDGE = (
+    ParameterSpec(
+        "mapping",
+        "",
+        "the mapping file: which topic, service or action is what; its path is relative to the "
+        "parameter file",
+    ),
+)
+
+
+def describe_file(path: Path) -> MachineDescription:
+    """Return what the machine of a parameter file is.
+
+    Raises:
+        UserError: If the file or its mapping cannot be read, or something in it is not allowed.
+    """
+    given = check_section(NODE, node_sections(load_yaml(path)).get(NODE, {}), MACHINE_BRIDGE)
+    if not given["mapping"]:
+        raise ParameterError(f"{NODE}.mapping is empty; it must name the mapping file")
+    file = path.resolve().parent / str(given["mapping"])
+    mapping = load_mapping(file)
+    return MachineDescription(
+        name=mapping.name,
+        variables={
+            v.name: Variable(v.minimum, v.maximum, v.unit) for v in mapping.variables.values()
+        },
+        diagnostics={d.name: d.unit for d in mapping.diagnostics.values()},
+        evaluation_seconds=_typical_duration(mapping),
+        files={"mapping": str(file)},
+    )
+
+
+def mapping_file(value: str, command_line: Sequence[str]) -> Path:
+    """Return the path of the mapping file that a node's command line stands for.
+
+    Args:
+        value: The parameter ``mapping`` as the node got it.
+        command_line: The node's command line. A path that its parameter file gives is relative to
+            that file, one that is given by ``-p`` is relative to the working folder.
+    """
+    if any(":=" in word and word.split(":=")[0].endswith("mapping") for word in command_line):
+        return Path(value)
+    files = [file for word, file in pairwise(command_line) if word == "--params-file"]
+    return Path(files[-1]).resolve().parent / value if files else Path(value)
+
+
+def _typical_duration(mapping: MachineMapping) -> float:
+    """Return how long an evaluation takes as far as the mapping tells it [s].
+
+    That is a ramp over a third of each range, which is the mean distance of two points drawn from
+    it, the time to settle, and what is averaged by time; how fast shots come is not known.
+    """
+    period = 1.0 / mapping.rate
+    variables = mapping.variables.values()
+    steps = count_steps(
+        {v.name: 0.0 for v in variables},
+        {v.name: (v.maximum - v.minimum) / 3.0 for v in variables},
+        {v.name: min(v.max_step, v.slew * period) for v in variables},
+    )
+    averaged = max(d.seconds for d in mapping.diagnostics.values())
+    return steps * period + mapping.settle_time + averaged
+
+
+if __name__ == "__main__":
+    sys.exit(print_description(describe_file))

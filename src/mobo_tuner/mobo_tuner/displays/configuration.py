@@ -1,0 +1,153 @@
+"""What a parameter file means, in plain lines for people."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from mobo_tuner.core.problem import Constraint, Objective, Problem, Variable
+from mobo_tuner.machine.description import MachineDescription
+from mobo_tuner.ros.parameters import ParameterValue
+
+_FALLBACKS = {
+    "hold": "holds where it is",
+    "restore": "goes back to where it was before the run",
+    "best": "goes to the best point found",
+}
+_EVENTS = {
+    "on_abort": "after a cancel or an error",
+    "on_violation": "after a shot beyond a critical limit",
+    "on_client_lost": "if the tuner is lost",
+}
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """A parameter file that was checked.
+
+    Attributes:
+        path: Path of the file.
+        problem: Problem that it tunes.
+        tuner: Parameters of the tuner, defaults included.
+        section: Section that chooses the machine; empty if none does.
+        machine: Description of the machine; None if it is known only when the run begins.
+        program: Command that starts the machine; empty if there is none.
+    """
+
+    path: str
+    problem: Problem
+    tuner: Mapping[str, ParameterValue]
+    section: str
+    machine: MachineDescription | None
+    program: str
+
+
+def explanation(configuration: Configuration) -> list[str]:
+    """Return what a run with this file is about, in lines for people."""
+    problem = configuration.problem
+    lines = [f"{configuration.path} is good; a run with it means:"]
+    lines += _entry("machine", _machine(configuration))
+    lines += _entry("variables", _table(map(_variable, problem.variables)))
+    lines += _entry("objectives", _table(map(_objective, problem.objectives)))
+    lines += _entry("constraints", _table(map(_constraint, problem.constraints)) or ["none"])
+    observables = ", ".join(
+        _quantity(o.name, f"[{o.unit}]" if o.unit else "") for o in problem.observables
+    )
+    lines += _entry("observables", [observables or "none"])
+    lines += _entry("budget", [_budget(configuration.tuner)])
+    lines += _entry("at the end", _ends(configuration))
+    lines += _entry("time", [_time(configuration)])
+    return lines
+
+
+def _machine(configuration: Configuration) -> list[str]:
+    machine = configuration.machine
+    if machine is not None:
+        return [
+            f"{machine.name}, served by the node '{configuration.section}', which the run starts",
+            f"{len(machine.variables)} variables, {len(machine.diagnostics)} diagnostics",
+        ]
+    asked = "it is asked what it can do when the run begins"
+    if configuration.program:
+        return [f"the program '{configuration.program}', which the run starts; {asked}"]
+    return [f"one that is there already, in the ROS domain of the run; {asked}"]
+
+
+def _variable(variable: Variable) -> tuple[str, str]:
+    bounds = f"{variable.minimum:g} to {variable.maximum:g}"
+    return variable.name, _quantity(bounds, variable.unit)
+
+
+def _objective(objective: Objective) -> tuple[str, str]:
+    text = (
+        f"{objective.direction}, reference {_quantity(f'{objective.reference:g}', objective.unit)}"
+    )
+    if objective.truncation is not None:
+        low, high = objective.truncation
+        text += f", truncated to {_quantity(f'{low:g} to {high:g}', objective.unit)}"
+    return objective.name, text
+
+
+def _constraint(constraint: Constraint) -> tuple[str, str]:
+    low, high = constraint.minimum, constraint.maximum
+    if math.isfinite(low) and math.isfinite(high):
+        text = f"{low:g} to {high:g}"
+    else:
+        text = f"at least {low:g}" if math.isfinite(low) else f"at most {high:g}"
+    critical = ", critical: one shot beyond it ends the evaluation" if constraint.critical else ""
+    return constraint.name, _quantity(text, constraint.unit) + critical
+
+
+def _budget(tuner: Mapping[str, ParameterValue]) -> str:
+    initial = tuner["initial_evaluations"]
+    return f"{tuner['evaluations']} evaluations" + (
+        f", the first {initial} spread over the bounds" if initial else ""
+    )
+
+
+def _ends(configuration: Configuration) -> list[str]:
+    tuner, problem = configuration.tuner, configuration.problem
+    lines = ["a run that ends well leaves the machine at its last set-point"]
+    for event, when in _EVENTS.items():
+        if event == "on_violation" and not any(c.critical for c in problem.constraints):
+            continue
+        lines.append(
+            f"{when} the machine {_FALLBACKS[str(tuner[event])]} ({event}: {tuner[event]})"
+        )
+    return lines
+
+
+def _time(configuration: Configuration) -> str:
+    machine = configuration.machine
+    if machine is None or machine.evaluation_seconds is None:
+        return "not known before the run begins"
+    each = machine.evaluation_seconds
+    budget = int(configuration.tuner["evaluations"])
+    return (
+        f"about {_duration(budget * each)} at the machine, {_duration(each)} per evaluation; "
+        "the time of the suggestions comes on top"
+    )
+
+
+def _entry(title: str, lines: Sequence[str]) -> list[str]:
+    first, *others = lines
+    return [f"  {title:<12} {first}", *(f"  {'':<12} {line}" for line in others)]
+
+
+def _table(rows: Iterable[tuple[str, str]]) -> list[str]:
+    rows = list(rows)
+    width = max((len(name) for name, _ in rows), default=0)
+    return [f"{name:<{width}}  {text}" for name, text in rows]
+
+
+def _quantity(value: str, unit: str) -> str:
+    return f"{value} {unit}".rstrip()
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 100.0:
+        return f"{seconds:.2g} s"
+    if seconds < 6000.0:
+        return f"{seconds / 60.0:.0f} min"
+    return f"{seconds / 3600.0:.1f} h"

@@ -1,0 +1,230 @@
+"""Check a whole parameter file before anything starts, and say what it means.
+
+`python -m mobo_tuner.nodes.check_config FILE --machine-node NAME=MODULE ...` prints what a run must
+know of the file as one JSON object, or one sentence on standard error, with exit status 2.
+
+Which machine there is depends on the sections of the file: each section NAME belongs to a machine's
+node, and `python -m MODULE FILE` describes that machine. Nothing here knows a machine by name.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from mobo_tuner.core.problem import Problem
+from mobo_tuner.displays.configuration import Configuration, explanation
+from mobo_tuner.errors import FileError, ParameterError, UserError
+from mobo_tuner.files import load_yaml
+from mobo_tuner.machine.description import MachineDescription
+from mobo_tuner.nodes.parameters import CONSOLE, RECORDER
+from mobo_tuner.ros.parameters import ParameterSpec, check_section, node_sections
+from mobo_tuner.tuner.parameters import TUNER
+
+CONFIG_FILE = "config.yaml"  # in a run's folder
+DESCRIBE_TIMEOUT = 50.0  # [s]
+NODES: Mapping[str, tuple[ParameterSpec, ...]] = {
+    "tuner": TUNER,
+    "recorder": RECORDER,
+    "console": CONSOLE,
+}
+
+Describe = Callable[[Path], MachineDescription]
+
+
+def check(
+    path: str | Path,
+    machines: Mapping[str, Describe],
+    program: str = "",
+    *,
+    program_yields: bool = False,
+) -> Configuration:
+    """Check a parameter file: the problem, the parameters of every node, and that they fit.
+
+    Args:
+        path: Path of the file.
+        machines: Function that describes the machine, by the name of the section that chooses it.
+        program: Command of a machine that is not chosen by a section; empty if there is none. Its
+            sections are not known, so that all but misspelt ones are allowed.
+        program_yields: Whether a section that chooses a machine replaces that command.
+
+    Raises:
+        UserError: If something is unknown, missing, of the wrong type or not allowed.
+    """
+    content = load_yaml(path)
+    if "/**" not in content:
+        raise FileError(f"the file '{path}' lacks the section '/**' with the problem")
+    sections = node_sections(content)
+    if program_yields and any(name in machines for name in sections):
+        program = ""
+    section = _machine_section(sections, machines, program)
+    _check_names(sections, [*NODES, *machines], allow_others=bool(program))
+    values = {
+        name: check_section(name, sections.get(name, {}), specs) for name, specs in NODES.items()
+    }
+    problem = Problem.from_dict(content)
+    machine = None
+    if section:
+        machine = machines[section](Path(path))
+        problem.check_machine(
+            {name: (v.minimum, v.maximum) for name, v in machine.variables.items()},
+            machine.diagnostics,
+            {name: v.unit for name, v in machine.variables.items()},
+        )
+    return Configuration(str(path), problem, values["tuner"], section, machine, program)
+
+
+def describe_by(module: str) -> Describe:
+    """Return the function that has a module describe the machine of a file, in its own process."""
+
+    def describe(path: Path) -> MachineDescription:
+        command = [sys.executable, "-P", "-m", module, str(path)]
+        try:
+            done = subprocess.run(
+                command, capture_output=True, text=True, timeout=DESCRIBE_TIMEOUT, check=False
+            )
+        except subprocess.TimeoutExpired:
+            raise UserError(f"{module} did not end within {DESCRIBE_TIMEOUT:g} s") from None
+        if done.returncode != 0:
+            words = done.stderr.strip().splitlines()
+            raise UserError(words[-1] if words else f"{module} ended with {done.returncode}")
+        return MachineDescription.from_json(done.stdout)
+
+    return describe
+
+
+def copy_to(folder: Path, configuration: Configuration) -> list[str]:
+    """Copy a parameter file, and the files that its machine's node needs, into a run's folder.
+
+    The parameter file is changed only where it names a file that must have another name there.
+
+    Returns:
+        Names of the other files.
+
+    Raises:
+        OSError: If a file cannot be copied.
+    """
+    source = Path(configuration.path)
+    machine = configuration.machine
+    names = {}
+    for parameter, file in machine.files.items() if machine else ():
+        name = Path(file).name
+        if Path(file).parent != source.resolve().parent or name == CONFIG_FILE:
+            name = f"{parameter}{Path(file).suffix}"
+        shutil.copyfile(file, folder / name)
+        names[parameter] = name
+    target = folder / CONFIG_FILE
+    shutil.copyfile(source, target)
+    content = load_yaml(target)
+    if _rename(content, configuration.section, names):
+        target.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+    return list(names.values())
+
+
+def _rename(content: dict[str, Any], section: str, names: Mapping[str, str]) -> bool:
+    """Set parameters of a node in a file's content; return whether one was something else."""
+    changed = False
+    for key, part in content.items():
+        if not section or section not in node_sections({key: part}):
+            continue
+        for parameter, name in names.items():
+            if part["ros__parameters"].get(parameter, name) != name:
+                part["ros__parameters"][parameter] = name
+                changed = True
+    return changed
+
+
+def _machine_section(
+    sections: Mapping[str, object], machines: Mapping[str, Describe], program: str
+) -> str:
+    """Return the section that chooses the machine; empty if none does.
+
+    Raises:
+        ParameterError: If more than one machine is chosen.
+    """
+    chosen = [name for name in sections if name in machines]
+    ways = [f"the section '{name}' of the file" for name in chosen]
+    if program:
+        ways.append(f"the command '{program}' of --machine")
+    if len(ways) > 1:
+        raise ParameterError(f"two machines are chosen, by {ways[0]} and by {ways[1]}; keep one")
+    return chosen[0] if chosen else ""
+
+
+def _check_names(sections: Mapping[str, object], known: Sequence[str], allow_others: bool) -> None:
+    """Refuse sections of unknown nodes.
+
+    Raises:
+        ParameterError: If there is one, or one that is allowed is nearly a known name.
+    """
+    for name in sections:
+        if name in known:
+            continue
+        if not allow_others:
+            raise ParameterError(
+                f"the section '{name}' is unknown; allowed are /**, {', '.join(known)}"
+            )
+        near = difflib.get_close_matches(name, known, n=1, cutoff=0.8)
+        if near:
+            raise ParameterError(f"the section '{name}' is unknown; did you mean '{near[0]}'?")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="mobo_tuner.nodes.check_config")
+    parser.add_argument("file", type=Path)
+    parser.add_argument(
+        "--machine-node",
+        metavar="NAME=MODULE",
+        action="append",
+        default=[],
+        help="section of a machine's node, and the module that describes the machine",
+    )
+    parser.add_argument("--program", default="", help="command of a machine without a section")
+    parser.add_argument(
+        "--program-yields", action="store_true", help="a section replaces that command"
+    )
+    parser.add_argument("--copy-to", metavar="FOLDER", type=Path, help="where copies are made")
+    parser.add_argument("--explain", action="store_true", help="print plain lines for people")
+    return parser
+
+
+def main() -> int:
+    """Check the file that the command line names; return the exit status."""
+    options = _parser().parse_args()
+    nodes = dict(text.split("=", maxsplit=1) for text in options.machine_node)
+    machines = {name: describe_by(module) for name, module in nodes.items()}
+    try:
+        configuration = check(
+            options.file, machines, options.program, program_yields=options.program_yields
+        )
+        if options.explain:
+            print("\n".join(explanation(configuration)))
+            return 0
+        files = copy_to(options.copy_to, configuration) if options.copy_to else []
+    except UserError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"the files of a run cannot be copied: {error}", file=sys.stderr)
+        return 2
+    facts = {
+        "section": configuration.section,
+        "machine": configuration.machine.name if configuration.machine else "",
+        "files": files,
+        "on_abort": configuration.tuner["on_abort"],
+    }
+    print(json.dumps(facts))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
