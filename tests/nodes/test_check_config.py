@@ -136,11 +136,11 @@ def test_a_problem_must_fit_the_machine_of_a_bridge(
 
 def test_two_machines_are_refused(foreign: dict[str, Any], tmp_path: Path) -> None:
     file = written(foreign, tmp_path / "file.yaml")
-    with pytest.raises(UserError, match="'machine_bridge'.*'python mine.py' of --machine"):
+    with pytest.raises(UserError, match=r"'machine_bridge'.*'python mine.py' of --machine"):
         check(file, program="python mine.py")
     assert check(file, program="python mine.py", program_yields=True).section == "machine_bridge"
     both = {**foreign, "/**/awa_sim": {"ros__parameters": {"model": "toy"}}}
-    with pytest.raises(UserError, match="two machines.*'awa_sim'.*'machine_bridge'"):
+    with pytest.raises(UserError, match=r"two machines.*'awa_sim'.*'machine_bridge'"):
         check(written(both, tmp_path / "both.yaml"))
 
 
@@ -191,8 +191,8 @@ def test_a_description_is_read_as_it_was_written() -> None:
 
 def test_a_file_is_copied_byte_by_byte_with_what_stands_beside_it(tmp_path: Path) -> None:
     assert copy_to(tmp_path, check(CONFIG / "foreign.yaml")) == ["bridge_foreign.yaml"]
-    for copy, original in (("config", "foreign"), ("bridge_foreign", "bridge_foreign")):
-        content = (tmp_path / f"{copy}.yaml").read_bytes()
+    for name, original in (("config", "foreign"), ("bridge_foreign", "bridge_foreign")):
+        content = (tmp_path / f"{name}.yaml").read_bytes()
         assert content == (CONFIG / f"{original}.yaml").read_bytes()
 
 

@@ -8,10 +8,10 @@ from itertools import pairwise
 from pathlib import Path
 
 from mobo_tuner.bridge.mapping import MachineMapping, load_mapping
-from mobo_tuner.bridge.ramp import count_steps
 from mobo_tuner.errors import ParameterError
 from mobo_tuner.files import load_yaml
 from mobo_tuner.machine.description import MachineDescription, Variable, print_description
+from mobo_tuner.machine.ramp import count_steps
 from mobo_tuner.ros.parameters import ParameterSpec, check_section, node_sections
 
 NODE = "machine_bridge"
