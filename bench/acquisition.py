@@ -1,7 +1,7 @@
 """Time and memory of the hypervolume engine: improvement and its expectation, with gradients.
 
-Prints one row for each front: boxes, memory, time to build, time to add a point, time for one
-candidate. With `--compile`, also the time from import to the first answers in a new process, with
+Prints one row per front: number of boxes, memory, time to build, time to add a point, time per
+candidate. With `--compile`, also the time from import to the first results in a new process, with
 an empty and with a filled cache of compiled code.
 
     python -m bench.acquisition --objectives 7 --points 500
@@ -33,24 +33,24 @@ front.expected_improvement([[0.4, 0.4, 0.4]], [[0.1, 0.1, 0.1]])
 
 
 def on_sphere(rng: np.random.Generator, n: int, n_objectives: int) -> FloatArray:
-    """Random points of the unit sphere with no negative component."""
+    """Return random points of the unit sphere with no negative component, `(n, P)`."""
     points = np.abs(rng.standard_normal((n, n_objectives)))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     return points
 
 
 def concave(rng: np.random.Generator, n: int, n_objectives: int) -> FloatArray:
-    """A front that bulges away from the ideal point, slightly rough: the worst case."""
+    """Return a slightly rough front that bulges away from the ideal point: the worst case."""
     return 2.0 * on_sphere(rng, n, n_objectives) * (1.0 + 0.05 * rng.random((n, 1))) - 1.0
 
 
 def convex(rng: np.random.Generator, n: int, n_objectives: int) -> FloatArray:
-    """A front that bulges towards the ideal point."""
+    """Return a front that bulges towards the ideal point."""
     return 1.0 - 2.0 * on_sphere(rng, n, n_objectives)
 
 
 def smooth(rng: np.random.Generator, n: int, n_objectives: int) -> FloatArray:
-    """Squared distances to P points of a six-dimensional box, whose Pareto set is their hull."""
+    """Return squared distances to P points of a six-dimensional box; the Pareto set is their hull."""
     centers = np.random.default_rng(1).uniform(-1.0, 1.0, (n_objectives, 6))
     inputs = rng.dirichlet(np.ones(n_objectives), n) @ centers
     distances = ((inputs[:, None, :] - centers) ** 2).sum(axis=2)
@@ -121,7 +121,11 @@ def measure(name: str, options: argparse.Namespace) -> list[str]:
 
 
 def first_answers(cache: str) -> float:
-    """Return the seconds a new process takes to import the engine and use it once."""
+    """Return the time that a new process needs to import the engine and use it once [s].
+
+    Args:
+        cache: Folder of the compiled code.
+    """
     start = time.perf_counter()
     subprocess.run(
         [sys.executable, "-c", FIRST_ANSWERS],
@@ -138,12 +142,22 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--objectives", type=int, default=7, help="number of objectives")
-    parser.add_argument("--points", type=int, default=500, help="points of the front")
-    parser.add_argument("--candidates", type=int, default=64, help="candidates of one call")
-    parser.add_argument("--stddev", type=float, default=0.03, help="of every prediction")
-    parser.add_argument("--fronts", nargs="+", choices=list(FRONTS), default=list(FRONTS))
-    parser.add_argument("--repeats", type=int, default=5, help="of which the shortest counts")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--points", type=int, default=500, help="number of points in the front")
+    parser.add_argument("--candidates", type=int, default=64, help="number of candidates per call")
+    parser.add_argument(
+        "--stddev", type=float, default=0.03, help="standard deviation of every prediction"
+    )
+    parser.add_argument(
+        "--fronts",
+        nargs="+",
+        choices=list(FRONTS),
+        default=list(FRONTS),
+        help="shapes of the front",
+    )
+    parser.add_argument(
+        "--repeats", type=int, default=5, help="number of timings, of which the shortest counts"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the points")
     parser.add_argument("--compile", action="store_true", help="measure compilation as well")
     options = parser.parse_args()
 
@@ -153,7 +167,7 @@ def main() -> None:
 
     print(
         f"P = {options.objectives}, n = {options.points}, stddev = {options.stddev}; "
-        "CPU times, for one candidate [ms]"
+        "CPU time per candidate [ms]"
     )
     header = ["front", "boxes", "MiB", "build s", "add ms", "HVI", "+ grad", "EHVI", "+ grad"]
     layout = "{:<8} {:>8} {:>7} {:>8} {:>7} {:>8} {:>8} {:>8} {:>8}"
@@ -165,7 +179,7 @@ def main() -> None:
     if options.compile:
         with tempfile.TemporaryDirectory() as cache:
             cold, warmed = first_answers(cache), first_answers(cache)
-        print(f"import and first answers: {cold:.1f} s, from the cache {warmed:.1f} s")
+        print(f"import and first results: {cold:.1f} s, with a filled cache {warmed:.1f} s")
 
 
 if __name__ == "__main__":

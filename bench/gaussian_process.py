@@ -2,9 +2,9 @@
 
     python -m bench.gaussian_process [--sizes 20 100 300 500] [--scikit-learn]
 
-Prints, for each number of evaluations, seconds of processor time for all seven outputs together: a
-first training, a training again with ten evaluations more, adding one evaluation, and predictions
-of 640 candidates, of 64 with gradients, and of one with gradients.
+Prints the processor time [s] for all seven outputs together, for each number of evaluations: a first
+training, another training after ten more evaluations, adding one evaluation, and predictions of 640
+candidates, of 64 with gradients, and of one with gradients.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ COLUMNS = ("fit", "refit", "add", "predict 640", "gradient 64", "gradient 1")
 
 
 def outputs(x: FloatArray) -> FloatArray:
-    """Seven smooth functions `(n, 7)` of the inputs `(n, 6)`, each of all of them."""
+    """Return seven smooth functions `(n, 7)`, each of all inputs `(n, 6)`."""
     rng = np.random.default_rng(3)
     frequencies, phases = rng.normal(size=(P, 4, D)), rng.uniform(0.0, 2.0 * np.pi, (P, 4))
     return np.asarray(np.sin(np.einsum("nd,pkd->npk", x, frequencies) + phases).sum(axis=-1))
 
 
 def seconds(action: Callable[[], object], repeats: int = 1) -> float:
-    """Processor time of one call [s]."""
+    """Return the processor time of one call [s]."""
     start = time.process_time()
     for _ in range(repeats):
         action()
@@ -45,7 +45,7 @@ def _predict_with_gradients(models: list[GaussianProcess], x: FloatArray) -> Non
 
 
 def times(n: int) -> list[float]:
-    """Times of COLUMNS with n evaluations [s]."""
+    """Return the times of COLUMNS with n evaluations [s]."""
     rng = np.random.default_rng(n)
     x = rng.uniform(-1.0, 1.0, (n + 11, D))
     y = outputs(x)
@@ -70,7 +70,7 @@ def times(n: int) -> list[float]:
 
 
 def scikit_learn_times(n: int) -> list[float]:
-    """Times of scikit-learn's fit and prediction of 640 candidates, same kernel and outputs [s]."""
+    """Return the times of scikit-learn for a fit and 640 predictions, same kernel and data [s]."""
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
@@ -94,13 +94,19 @@ def scikit_learn_times(n: int) -> list[float]:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sizes", type=int, nargs="+", default=[20, 100, 300, 500])
-    parser.add_argument("--scikit-learn", action="store_true", help="compare; minutes at 500")
+    parser.add_argument(
+        "--sizes", type=int, nargs="+", default=[20, 100, 300, 500], help="numbers of evaluations"
+    )
+    parser.add_argument(
+        "--scikit-learn",
+        action="store_true",
+        help="also time scikit-learn, which takes minutes at 500",
+    )
     arguments = parser.parse_args()
     print("seconds for 7 outputs, 6 inputs, one thread")
     print(f"{'n':>5}" + "".join(f"{name:>13}" for name in COLUMNS))
     with single_blas_thread():
-        times(20)  # loads what is loaded once
+        times(20)  # warm-up: imports and compiled code
         for n in arguments.sizes:
             print(f"{n:>5}" + "".join(f"{value:>13.5f}" for value in times(n)), flush=True)
             if arguments.scikit_learn:

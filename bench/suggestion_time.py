@@ -1,9 +1,9 @@
-"""Time and memory of one suggestion in seven objectives, with as many evaluations told.
+"""Time and memory of one suggestion in seven objectives, after a given number of evaluations.
 
-The archive is a run of the optimiser itself on the AWA surrogate ("awa": kept in experiments/.cache with the
-times of its whole loop, made again when the surrogate changes), points near a known Pareto set ("smooth"), or
-points of a concave sphere ("sphere": the front with the most boxes). Then a number of suggestions in a row is
-timed, trainings included; each is answered by the machine.
+The evaluations are a run of the optimiser on the AWA surrogate ("awa": kept in experiments/.cache with the times of
+its whole loop, repeated when the surrogate changes), points near a known Pareto set ("smooth"), or points of a concave
+sphere ("sphere": the front with the most boxes). Then several consecutive suggestions are timed, including training;
+each is evaluated.
 
     python -m bench.suggestion_time --archive awa --acquisitions ehvi ucb_hvi
 """
@@ -20,7 +20,12 @@ from experiments.problems import Run, resume
 
 
 def report(name: str, timed: Run) -> None:
-    """Print a row."""
+    """Print a row.
+
+    Args:
+        name: Name of the acquisition function.
+        timed: Run with the timed suggestions.
+    """
     front = len(timed.optimizer.pareto_front())
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
     print(
@@ -36,11 +41,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--archive", choices=NAMES, default="awa")
-    parser.add_argument("--acquisitions", nargs="+", default=["ucb_hvi", "ehvi"])
-    parser.add_argument("--evaluations", type=int, default=500, help="told before the first ask")
-    parser.add_argument("--asks", type=int, default=25, help="timed suggestions in a row")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--archive", choices=NAMES, default="awa", help="set of evaluations")
+    parser.add_argument(
+        "--acquisitions", nargs="+", default=["ucb_hvi", "ehvi"], help="acquisition functions"
+    )
+    parser.add_argument(
+        "--evaluations", type=int, default=500, help="number of evaluations before the first timing"
+    )
+    parser.add_argument("--asks", type=int, default=25, help="number of timed suggestions")
+    parser.add_argument("--seed", type=int, default=0, help="seed of evaluations and optimiser")
     options = parser.parse_args()
 
     if options.archive == "awa":
@@ -61,8 +70,8 @@ def main() -> None:
         )
         first = resume(
             source.benchmark, optimizer, 1
-        )  # the first training and, where needed, compilation
-        print(f"the first of {acquisition}, with a training from nothing: {first.asks[0]:.2f} s")
+        )  # the first training and possibly compilation
+        print(f"first suggestion of {acquisition}, with its first training: {first.asks[0]:.2f} s")
         report(acquisition, resume(source.benchmark, optimizer, options.asks))
 
 

@@ -1,4 +1,4 @@
-"""Time of a prediction of the AWA surrogate: of one point, as a shot needs it, and of many at once.
+"""Time of a prediction of the AWA surrogate: of one point, as for each shot, and of many at once.
 
 One thread. The time of one point is the median of many calls, with random set-points within the machine's limits.
 """
@@ -16,10 +16,14 @@ from awa_sim_node.surrogate import Surrogate, metadata
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure and print the times."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--calls", type=int, default=1000, help="predictions of one point")
-    parser.add_argument("--points", type=int, default=10_000, help="predicted at once")
+    parser.add_argument(
+        "--calls", type=int, default=1000, help="number of predictions of one point"
+    )
+    parser.add_argument(
+        "--points", type=int, default=10_000, help="number of points predicted at once"
+    )
     options = parser.parse_args()
     torch.set_num_threads(1)
     surrogate = Surrogate.load()

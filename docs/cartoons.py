@@ -1,4 +1,4 @@
-"""The pictures of docs/method.md that show the method's ideas in objective space, each computed by the optimiser."""
+"""Pictures of docs/method.md that show the method's concepts in objective space, computed by the optimiser."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mobo_tuner.core.gaussian_process import GaussianProcess, GaussianProcessSet
 from mobo_tuner.core.hypervolume import BoxDecomposition
 from mobo_tuner.core.pareto import FloatArray, pareto_front
 
-# Told apart by the colour-blind, too: after Okabe and Ito.
+# Safe for colour-blind readers: the palette of Okabe and Ito.
 BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"
 GREY = "#8C8C8C"
 
@@ -27,7 +27,7 @@ GREY = "#8C8C8C"
 
 
 def draw_boxes() -> Figure:
-    """Hypervolume improvement, the boxes that add up to it, and the one-dimensional terms."""
+    """Draw the hypervolume improvement, the boxes that sum to it, and the one-dimensional terms."""
     front = np.array([[1.0, 7.2], [2.6, 4.8], [4.6, 3.2], [7.4, 1.6]])
     reference, y = np.array([9.0, 9.0]), np.array([3.4, 2.2])
     decomposition = BoxDecomposition(reference, front)
@@ -64,12 +64,12 @@ def draw_boxes() -> Figure:
 
 
 def _draw_terms(axes: Axes) -> None:
-    """The functions G for a predicted mean of 5 and a standard deviation of 1.2."""
+    """Draw the functions G for a predicted mean of 5 and a standard deviation of 1.2."""
     mean, stddev, floor = 5.0, 1.2, 4.4
     t = np.linspace(0.0, 9.0, 181)
 
     def term(mean: float, stddev: float, floor: float = -math.inf) -> FloatArray:
-        # With one objective and no points the improvement is G at the reference point.
+        # With one objective and no points, the improvement is G at the reference point.
         return np.array(
             [
                 BoxDecomposition([each]).expected_improvement(
@@ -94,7 +94,7 @@ def _draw_terms(axes: Axes) -> None:
 
 
 def _corners(decomposition: BoxDecomposition) -> FloatArray:
-    """Lower and upper corners of all boxes, ``(b, 2, P)``, as the tree holds them."""
+    """Return the lower and upper corners of all boxes, ``(b, 2, P)``, in the tree's order."""
     tree, levels = decomposition._tree, decomposition._levels
     leaves = np.flatnonzero(tree.first_child[: decomposition._n_nodes] == 0)
     axes = np.arange(levels.shape[1])
@@ -105,7 +105,7 @@ def _corners(decomposition: BoxDecomposition) -> FloatArray:
 
 
 def draw_acquisition() -> Figure:
-    """From two models of one variable to three acquisition functions of the same candidate."""
+    """Draw two models of one variable, and three acquisition functions of the same candidate."""
     x = np.array([[-0.8], [0.0], [0.8]])
     front = np.array([[1.4, 7.6], [3.8, 4.4], [7.0, 2.2]])
     reference = np.array([9.0, 9.0])
@@ -202,7 +202,7 @@ def _show_front(axes: Axes, front: FloatArray, reference: FloatArray) -> None:
 def _show_prediction(
     axes: Axes, mean: FloatArray, stddev: FloatArray, shaded: bool = False
 ) -> None:
-    """The predicted distribution: outlines at one and two standard deviations."""
+    """Draw the predicted distribution: outlines at one and two standard deviations."""
     angle = np.linspace(0.0, 2.0 * np.pi, 181)
     for radius in (1.0, 2.0):
         x, y = mean[:, None] + radius * stddev[:, None] * np.stack([np.cos(angle), np.sin(angle)])
@@ -224,7 +224,7 @@ def _show_optimistic(axes: Axes, mean: FloatArray, optimistic: FloatArray) -> No
 
 
 def _shade_outside(axes: Axes, lower: FloatArray, upper: FloatArray) -> None:
-    """Shade what is outside of the truncation box and outline the box."""
+    """Shade the region outside the truncation box, and outline the box."""
     far = 20.0
     for low, high in (
         ((-far, -far), (lower[0], far)),
@@ -237,7 +237,7 @@ def _shade_outside(axes: Axes, lower: FloatArray, upper: FloatArray) -> None:
     axes.text(upper[0] - 0.6, upper[1] - 0.7, r"$\mathcal{T}$", fontsize=14)
 
 
-# ---------------------------------------------------------------- what the panels share
+# ---------------------------------------------------------------- shared by the panels
 
 
 def _objective_axes(axes: Axes) -> None:
@@ -250,7 +250,7 @@ def _rectangle(axes: Axes, lower: FloatArray, upper: FloatArray, **style: Any) -
 
 
 def _staircase(front: FloatArray, reference: FloatArray) -> FloatArray:
-    """Outline of what a front of two objectives dominates, without its closing corner."""
+    """Return the outline of the dominated region of two objectives, without its closing corner."""
     front = front[np.argsort(front[:, 0])]
     corners = [[front[0, 0], reference[1]]]
     for i, (x, y) in enumerate(front):
@@ -266,7 +266,7 @@ def _shade_dominated(axes: Axes, front: FloatArray, reference: FloatArray, color
 
 
 def _shade_improvement(axes: Axes, front: FloatArray, y: FloatArray, reference: FloatArray) -> None:
-    """Shade what y dominates and the front does not, box by box."""
+    """Shade the region dominated by y but not by the front, box by box."""
     for lower, upper in _corners(BoxDecomposition(reference, front)):
         inside = np.maximum(lower, y)
         if (inside < upper).all():

@@ -1,4 +1,4 @@
-"""The pictures of docs/machine.md: the machine, the beam through it, what each knob does, and the trade-off."""
+"""Pictures of docs/machine.md: the beamline, the beam along it, the effect of each variable, and the trade-off."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ SYMBOLS = {
 UNITS = {q.name: q.unit for q in (*metadata.INPUTS, *metadata.OUTPUTS)}
 SEVEN = ("sigma_x", "sigma_y", "sigma_z", "eps_x", "eps_y", "eps_z", "dE")
 LIMIT = 0.52
-"""Of dE in the paper [MeV]."""
+"""The paper's limit on dE [MeV]."""
 
 _LIMITS = np.array([s.machine_limits for s in metadata.SETTINGS]).T
 _OUTPUTS = [quantity.name for quantity in metadata.OUTPUTS]
@@ -64,7 +64,7 @@ COPPER, COIL, PIPE = "#E9B896", "#A9BFD6", "#6E6E6E"
 
 
 def draw_beamline() -> Figure:
-    """The elements, to scale along the beam, and the fields on axis at the middle of all ranges."""
+    """Draw the elements, to scale along the beam, and the fields on axis at the middle of all ranges."""
     line = Injector(_settings(MIDDLE)).beamline
     gun, linac = _on_axis(line.gun), _on_axis(line.linac)
     figure = Figure(figsize=(11.6, 6.4))
@@ -111,7 +111,10 @@ def draw_beamline() -> Figure:
 
 
 def _draw_cells(axes: Axes, curve: tuple[FloatArray, FloatArray], aperture: float) -> float:
-    """Draw a cavity whose cells end where the field on axis changes its sign or ends; return its end."""
+    """Draw a cavity, and return the position of its end.
+
+    A cell ends at a sign change of the field on axis, or at the end of the field.
+    """
     z, field = curve
     inside = np.flatnonzero(np.abs(field) > 0.15 * np.abs(field).max())
     start, end = inside[0], inside[-1]
@@ -122,14 +125,14 @@ def _draw_cells(axes: Axes, curve: tuple[FloatArray, FloatArray], aperture: floa
 
 
 def _solenoid(name: str) -> tuple[FloatArray, FloatArray]:
-    """Positions [m] and the strength of one solenoid's field on axis [T], the other one off."""
+    """Return positions [m] and the magnitude of one solenoid's field on axis [T], the other one off."""
     alone = _settings(MIDDLE | {"K1": 0.0, "K2": 0.0} | {name: MIDDLE[name]})
     z, field = _on_axis(Injector(alone).beamline.solenoids)
     return z, np.abs(field)
 
 
 def _draw_ring(axes: Axes, low: float, high: float, inner: float, outer: float, color: str) -> None:
-    """Draw a ring around the axis, cut open."""
+    """Draw the cross-section of a ring around the axis."""
     for bottom in (inner, -outer):
         size = high - low, outer - inner
         axes.add_patch(Rectangle((low, bottom), *size, facecolor=color, edgecolor=GREY))
@@ -139,7 +142,7 @@ def _draw_ring(axes: Axes, low: float, high: float, inner: float, outer: float, 
 
 
 def draw_beam(particles: int) -> Figure:
-    """Sizes, emittances and energy along the machine, of two beams, with the surrogate's answer."""
+    """Draw sizes, emittances and energy of two beams along the machine, with the surrogate's prediction."""
     surrogate = Surrogate.load()
     figure = Figure(figsize=(11.6, 8.4))
     panels = figure.subplots(3, 2, sharex=True)
@@ -204,9 +207,9 @@ def draw_beam(particles: int) -> Figure:
 
 
 def beam_along(setpoint: Mapping[str, float], particles: int) -> dict[str, FloatArray]:
-    """Moments of the simulated beam along the machine, from where all of it has left the cathode.
+    """Return the moments of the simulated beam along the machine, once all particles are emitted.
 
-    The transverse emittances are those of the canonical momenta, so that they do not show the
+    The transverse emittances are those of the canonical momenta, so that they do not include the
     rotation inside a solenoid.
     """
     injector = Injector(_settings(setpoint))
@@ -233,7 +236,7 @@ def _canonical_emittances(bunch: Bunch, potential: RegularGridInterpolator) -> t
 
 
 def _vector_potential(field: FieldMap) -> RegularGridInterpolator:
-    """The azimuthal potential over the radius [T] of an axial field, as a function of r and z [m]."""
+    """Return the azimuthal vector potential over the radius [T] as a function of r and z [m]."""
     axial = field.values[:, :, 0]
     r = field.dr * np.arange(len(axial))
     flux = cumulative_trapezoid(axial * r[:, None], r, axis=0, initial=0.0)
@@ -242,11 +245,11 @@ def _vector_potential(field: FieldMap) -> RegularGridInterpolator:
     return RegularGridInterpolator((r, z), per_radius, bounds_error=False, fill_value=0.0)
 
 
-# ---------------------------------------------------------------- the knobs
+# ---------------------------------------------------------------- the effect of each variable
 
 
 def draw_knobs() -> Figure:
-    """Each of the seven outputs against each of the six settings, around two set-points."""
+    """Draw each of the seven outputs against each of the six variables, around two set-points."""
     surrogate = Surrogate.load()
     figure = Figure(figsize=(12.6, 11.2))
     panels = figure.subplots(len(SEVEN), len(metadata.SETTINGS), sharex="col", sharey="row")
@@ -276,7 +279,7 @@ def draw_knobs() -> Figure:
 
 
 def draw_front(samples: int, evaluations: int, seed: int) -> Figure:
-    """Emittance against energy spread: all the machine can do, and what the optimiser finds."""
+    """Draw emittance against energy spread: random set-points, the best front, and the optimiser's run."""
     sampled = _sampled(samples, seed)
     figure = Figure(figsize=(11.6, 5.0))
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -322,14 +325,14 @@ def draw_front(samples: int, evaluations: int, seed: int) -> Figure:
 
 
 def _sampled(samples: int, seed: int) -> FloatArray:
-    """Energy spread and emittance of random set-points that keep the beam, ``(n, 2)``."""
+    """Return energy spread and emittance of random set-points that keep the beam, ``(n, 2)``."""
     rng = np.random.default_rng(seed)
     values = _objectives(rng.uniform(*_LIMITS, (samples, len(_LIMITS[0]))))
     return values[np.isfinite(values[:, 0])]
 
 
 def _best(seed: int, limit: float = math.inf) -> FloatArray:
-    """The front that can be reached: random search around the best set-points so far, ``(n, 2)``."""
+    """Return the best front, ``(n, 2)``, from a random search around the best set-points so far."""
     rng = np.random.default_rng(seed)
     low, high = _LIMITS
     setpoints = rng.uniform(low, high, (_AROUND, len(low)))
@@ -345,7 +348,7 @@ def _best(seed: int, limit: float = math.inf) -> FloatArray:
 
 
 def _objectives(setpoints: FloatArray) -> FloatArray:
-    """Energy spread and emittance, ``(n, 2)``; infinite where more than 2 % of the beam is lost."""
+    """Return energy spread and emittance, ``(n, 2)``; infinite if more than 2 % of the beam is lost."""
     kept = [metadata.DEFAULT_CHARGE, metadata.DEFAULT_COUPLER_KICK]
     inputs = np.hstack([setpoints, np.tile(kept, (len(setpoints), 1))])
     beam = dict(zip(_OUTPUTS, Surrogate.load().predict_array(inputs).T, strict=True))
@@ -355,7 +358,7 @@ def _objectives(setpoints: FloatArray) -> FloatArray:
 
 
 def _tuned(limited: bool, evaluations: int, seed: int) -> Optimizer:
-    """Tune emittance and energy spread, without noise."""
+    """Return the optimiser after tuning emittance and energy spread without noise."""
     definition: dict[str, Any] = {
         "variables": {
             s.name: dict(zip(("min", "max"), s.machine_limits, strict=True))
@@ -374,7 +377,7 @@ def _tuned(limited: bool, evaluations: int, seed: int) -> Optimizer:
     return optimizer
 
 
-# ---------------------------------------------------------------- what the pictures share
+# ---------------------------------------------------------------- shared by the pictures
 
 
 def _settings(setpoint: Mapping[str, float]) -> Settings:
@@ -384,6 +387,6 @@ def _settings(setpoint: Mapping[str, float]) -> Settings:
 
 
 def _on_axis(field: FieldMap) -> tuple[FloatArray, FloatArray]:
-    """Positions [m] and the field along the beam on axis."""
+    """Return positions [m] and the field along the beam on axis."""
     values = np.asarray(field.values[0, :, 0])
     return field.start + field.dz * np.arange(len(values)), values

@@ -1,9 +1,9 @@
-"""Draw the pictures of docs/method.md and docs/machine.md with optimiser, simulation and surrogate themselves.
+"""Draw the pictures of docs/method.md and docs/machine.md with the optimiser, the simulation and the surrogate.
 
     python docs/make_pictures.py [FOLDER]
 
-The toy problem is the paper's, [Roussel2021]_ Eq. (eqn:toy_problem), with the paper's settings. The same arguments
-give the same pictures.
+The toy problem is that of the paper, [Roussel2021]_ Eq. (5) (label eqn:toy_problem), with the paper's settings. The
+same arguments give the same pictures.
 
 .. [Roussel2021] R. Roussel, A. Hanuka, A. Edelen, "Multiobjective Bayesian optimization for online
    accelerator tuning", Phys. Rev. Accel. Beams 24, 062801 (2021).
@@ -49,8 +49,8 @@ STYLE: dict[Any, Any] = {
     "legend.fontsize": 9,
 }
 
-# Section subsec:MOBO. The length-scale of 1 in x is 0.5 where [-2, 2] is scaled to [-1, 1]. With every
-# hyperparameter held there is nothing to train; the paper does not name the noise.
+# Settings of the paper's section subsec:MOBO. Its length-scale of 1 in x is 0.5 after scaling [-2, 2] to [-1, 1].
+# All hyperparameters are fixed, so that nothing is trained. The noise is not given in the paper.
 TOY: dict[str, Any] = {
     "preset": "paper",
     "initial_evaluations": 5,
@@ -62,7 +62,7 @@ TOY: dict[str, Any] = {
     "training": "lbfgs",
 }
 INITIAL = 5
-# 4 I in x (section on proximal exploration), where a step is twice as long as in normalised space.
+# 4 I in x (section on proximal exploration): steps in x are twice as long as in normalised space.
 PRECISION = 16.0
 
 
@@ -72,27 +72,41 @@ def main(arguments: Sequence[str] | None = None) -> None:
         description="Draw the pictures of docs/method.md and docs/machine.md."
     )
     parser.add_argument(
-        "folder", type=Path, nargs="?", default=ROOT / "docs" / "images", help="where they go"
+        "folder", type=Path, nargs="?", default=ROOT / "docs" / "images", help="folder to write to"
     )
-    parser.add_argument("--seed", type=int, default=2, help="of the single runs that are shown")
+    parser.add_argument("--seed", type=int, default=2, help="seed of the single runs")
     parser.add_argument(
-        "--constraint-seeds", type=int, default=25, help="runs averaged in the constraint's picture"
+        "--constraint-seeds",
+        type=int,
+        default=25,
+        help="number of runs averaged in the constraint's picture",
     )
     parser.add_argument(
-        "--proximal-seeds", type=int, default=10, help="runs in the histograms of step lengths"
+        "--proximal-seeds",
+        type=int,
+        default=10,
+        help="number of runs in the histograms of step lengths",
     )
-    parser.add_argument("--grid", type=int, default=121, help="points of a map along each axis")
-    parser.add_argument("--particles", type=int, default=10_000, help="of a simulated beam")
-    parser.add_argument("--samples", type=int, default=2**17, help="random set-points")
-    parser.add_argument("--evaluations", type=int, default=60, help="of a run on the machine")
-    parser.add_argument("--only", nargs="+", choices=PICTURES, default=list(PICTURES), help="these")
+    parser.add_argument(
+        "--grid", type=int, default=121, help="number of points of a map along each axis"
+    )
+    parser.add_argument(
+        "--particles", type=int, default=10_000, help="number of particles of a simulated beam"
+    )
+    parser.add_argument("--samples", type=int, default=2**17, help="number of random set-points")
+    parser.add_argument(
+        "--evaluations", type=int, default=60, help="number of evaluations of a run on the machine"
+    )
+    parser.add_argument(
+        "--only", nargs="+", choices=PICTURES, default=list(PICTURES), help="pictures to draw"
+    )
     options = parser.parse_args(arguments)
     options.folder.mkdir(parents=True, exist_ok=True)
     with rc_context(STYLE):
         for name in options.only:
             figure = PICTURES[name](options)
             FigureCanvasAgg(figure)
-            # Without the version of matplotlib in the file.
+            # The file does not contain the version of matplotlib.
             figure.savefig(options.folder / f"{name}.png", metadata={"Software": None})
 
 
@@ -100,7 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def toy_problem(constrained: bool = False) -> Problem:
-    """The problem of config/toy.yaml, or the same with x1 <= 0.5."""
+    """Return the problem of config/toy.yaml, optionally with the constraint x1 <= 0.5."""
     problem = Problem.from_yaml(ROOT / "config" / "toy.yaml")
     definition = problem.to_dict()
     if constrained:
@@ -111,7 +125,7 @@ def toy_problem(constrained: bool = False) -> Problem:
 def run_toy(
     iterations: int, seed: int, constrained: bool = False, proximal: float | None = None
 ) -> Optimizer:
-    """Five random evaluations and so many suggested ones."""
+    """Return the optimiser after five random evaluations and `iterations` suggested ones."""
     optimizer = Optimizer(toy_problem(constrained), seed=seed, proximal=proximal, **TOY)
     machine = create_model("toy")
     for _ in range(INITIAL + iterations):
@@ -121,7 +135,7 @@ def run_toy(
 
 
 def draw_toy(options: argparse.Namespace) -> Figure:
-    """Objectives, models, acquisition function and front after 5 random and 15 suggested points."""
+    """Draw objectives, models, acquisition function and front after 5 random and 15 suggested points."""
     optimizer = run_toy(15, options.seed)
     problem, data = optimizer.problem, optimizer.dataset
     settings = optimizer.settings.gaussian_process
@@ -175,7 +189,7 @@ def draw_toy(options: argparse.Namespace) -> Figure:
 
 
 def draw_constraint(options: argparse.Namespace) -> Figure:
-    """The learned probability of x1 <= 0.5, and the share of evaluations that keep to it."""
+    """Draw the learned probability of x1 <= 0.5, and the fraction of evaluations that meet it."""
     optimizer = run_toy(45, options.seed, constrained=True)
     data = optimizer.dataset
     settings = replace(optimizer.settings.gaussian_process, mean="data")
@@ -224,7 +238,7 @@ def draw_constraint(options: argparse.Namespace) -> Figure:
 
 
 def draw_proximal(options: argparse.Namespace) -> Figure:
-    """How 25 suggestions travel without and with proximal biasing, and how far each step goes."""
+    """Draw the path of 25 suggestions without and with proximal biasing, and the step lengths."""
     figure = Figure(figsize=(10.6, 7.6))
     panels = figure.subplots(2, 2, height_ratios=[2.4, 1.0], sharey="row")
     bins = np.linspace(0.0, 4.0, 21)
@@ -260,23 +274,23 @@ def draw_proximal(options: argparse.Namespace) -> Figure:
 
 
 def _travelled(seed: int, proximal: float | None) -> FloatArray:
-    """The last random set-point and the 25 suggestions after it, ``(26, 2)``, in x."""
+    """Return the last random set-point and the 25 suggestions after it in x, ``(26, 2)``."""
     return np.asarray(2.0 * run_toy(25, seed, proximal=proximal).dataset.inputs[INITIAL - 1 :])
 
 
 def _grid(size: int) -> tuple[FloatArray, FloatArray]:
-    """An axis in x ``(size,)``, and all pairs as normalised inputs ``(size^2, 2)``, x1 fastest."""
+    """Return an axis in x ``(size,)``, and all pairs as normalised inputs ``(size^2, 2)``, x1 fastest."""
     axis = np.linspace(-1.0, 1.0, size)
     return 2.0 * axis, np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
 
 
 def _toy_objectives(inputs: FloatArray) -> FloatArray:
-    """True objectives ``(n, 2)`` at normalised inputs ``(n, 2)``."""
+    """Return the true objectives ``(n, 2)`` at normalised inputs ``(n, 2)``."""
     return np.stack([np.linalg.norm(2.0 * inputs + s, axis=1) for s in (-1.0, 1.0)], axis=1)
 
 
 def _show_evaluations(axes: Axes, points: FloatArray) -> Any:
-    """Crosses for the random points, dots coloured by number for the suggested ones."""
+    """Draw crosses for the random points, and dots coloured by number for the suggested ones."""
     axes.plot(*points[:INITIAL].T, "x", color=RED, markersize=7, markeredgewidth=2, label="random")
     rest = points[INITIAL:]
     numbers = np.arange(1, len(rest) + 1)

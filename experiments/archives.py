@@ -1,4 +1,4 @@
-"""Evaluations to start from: points of a run or of a known front, in seven objectives and six variables."""
+"""Sets of evaluations to start from, in seven objectives and six variables."""
 
 from __future__ import annotations
 
@@ -17,18 +17,23 @@ N_VARIABLES = 6
 NAMES = ["awa", "smooth", "sphere"]
 
 Told = list[tuple[dict[str, float], dict[str, tuple[float, float]]]]
-"""Set-points and what was measured there, with standard deviations."""
+"""Set-points and measured values with standard deviations."""
 
 
 @dataclass
 class Archive:
-    """A machine and what it has answered so far."""
+    """A benchmark problem and evaluations of it.
+
+    Attributes:
+        benchmark: Problem and machine.
+        told: Evaluations.
+    """
 
     benchmark: Benchmark
     told: Told
 
     def optimizer(self, n: int, **settings: Any) -> Optimizer:
-        """An optimiser that was told the first n evaluations."""
+        """Return an optimiser with the first n evaluations."""
         optimizer = Optimizer(self.benchmark.problem, **settings)
         for setpoint, outputs in self.told[:n]:
             optimizer.tell(setpoint, outputs)
@@ -36,10 +41,14 @@ class Archive:
 
 
 def archive(name: str, n: int, seed: int = 0) -> Archive:
-    """The archive of that name, with n evaluations.
+    """Return an archive with n evaluations.
 
-    "awa" is a run of the optimiser on the AWA surrogate; "smooth" are points near the Pareto set of squared
-    distances, the hull of seven points; "sphere" has all its points on a concave sphere, the front of most boxes.
+    Args:
+        name: "awa", a run of the optimiser on the AWA surrogate; "smooth", points near the Pareto set of squared
+            distances to seven points, which is their hull; or "sphere", with all points on a concave sphere, which is
+            the front with the most boxes.
+        n: Number of evaluations.
+        seed: Seed of the evaluations.
     """
     if name == "awa":
         record = awa_record(n, "default", seed)
@@ -64,7 +73,7 @@ def archive(name: str, n: int, seed: int = 0) -> Archive:
 
 
 def awa_record(evaluations: int, preset: str, seed: int) -> dict[str, Any]:
-    """State of a run of so many evaluations and its times, made where there is none yet."""
+    """Return the state and the times of a run on the AWA surrogate, from the cache if it is there."""
     path = cached(f"archive-{surrogate_digest()}-{preset}-{evaluations}-{seed}.json")
     if not path.exists():
         made = run(awa(), evaluations, seed, preset=preset)
@@ -82,7 +91,7 @@ def awa_record(evaluations: int, preset: str, seed: int) -> dict[str, Any]:
 
 
 def smooth(n: int, seed: int) -> tuple[Benchmark, FloatArray]:
-    """Squared distances to seven points, and set-points `(n, d)` near the hull of these."""
+    """Return the problem of squared distances to seven points, and inputs `(n, d)` near their hull."""
     centers = np.random.default_rng(1).uniform(-1.0, 1.0, (N_OBJECTIVES, N_VARIABLES))
     rng = np.random.default_rng(seed)
     shares = rng.dirichlet(np.ones(N_OBJECTIVES), n)
@@ -96,7 +105,7 @@ def smooth(n: int, seed: int) -> tuple[Benchmark, FloatArray]:
 
 
 def sphere(n: int, seed: int) -> tuple[Benchmark, FloatArray]:
-    """A machine whose every answer lies on a concave sphere, none dominated, and set-points `(n, d)`."""
+    """Return a problem whose objectives lie on a concave sphere, none dominated, and inputs `(n, d)`."""
     rng = np.random.default_rng(seed)
     x = rng.uniform(-1.0, 1.0, (n, N_VARIABLES))
     mixing = rng.standard_normal((N_VARIABLES, N_OBJECTIVES))

@@ -1,8 +1,7 @@
-"""How far the particle-in-cell simulation's results at the screen are from converged.
+"""Convergence of the particle-in-cell simulation at the screen in mesh, particles and steps.
 
-One beam is tracked on finer and finer meshes, with more particles, shorter and longer steps, and with other
-particles of the same number. Each line is the difference from the resolution of the data set in per cent, and the
-last the standard deviation over the seeds.
+One beam is tracked with different meshes, numbers of particles, step lengths and seeds. Each line is the difference
+from the result at the data set's resolution in per cent; the last line is the standard deviation over the seeds.
 
     python -m experiments.convergence
     python -m experiments.convergence --K2 270 --G1 61
@@ -34,7 +33,7 @@ SHOWN = ("sigma_x", "sigma_z", "eps_x", "eps_z", "dE", "energy")
 
 
 def stepped(factor: float) -> Resolution:
-    """The data set's resolution with all its steps so many times as long."""
+    """Return the data set's resolution with all its steps multiplied by a factor."""
     return replace(
         BASE,
         emission_steps=round(BASE.emission_steps / factor),
@@ -46,7 +45,7 @@ def stepped(factor: float) -> Resolution:
 
 
 def tracked(settings: Settings, resolution: Resolution, seed: int = 0) -> tuple[Moments, float]:
-    """The moments at the screen, and the seconds of the processor."""
+    """Return the moments at the screen, and the processor time [s]."""
     start = time.process_time()
     (beam,) = Injector(settings).track([SCREEN], resolution, seed=seed)
     return beam, time.process_time() - start
@@ -57,11 +56,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     for name, value in {**USUAL, "charge": 40.0, "coupler_kick": 0.0}.items():
         parser.add_argument(f"--{name}", type=float, default=value)
-    parser.add_argument("--seeds", type=int, default=8, help="bunches of other particles")
+    parser.add_argument("--seeds", type=int, default=8, help="number of seeds of the bunch")
     options = vars(parser.parse_args())
     seeds = options.pop("seeds")
     settings = Settings(**options)
-    tracked(settings, Resolution(mesh=(8, 8, 8), particles=100))  # compiles
+    tracked(settings, Resolution(mesh=(8, 8, 8), particles=100))  # warm-up: compilation
     base, seconds = tracked(settings, BASE)
     print(" " * 32 + "".join(f"{name:>9}" for name in SHOWN) + "    CPU s")
 
@@ -80,7 +79,7 @@ def main() -> None:
         beam, seconds = tracked(settings, stepped(factor))
         show(label, differences(beam), seconds, "+9.2f")
     beam, seconds = tracked(settings, replace(BASE, image_until=0.08))
-    show("image counts up to 80 mm", differences(beam), seconds, "+9.2f")
+    show("image included up to 80 mm", differences(beam), seconds, "+9.2f")
     beams = [asdict(tracked(settings, BASE, seed)[0]) for seed in range(seeds)]
     spread = [100.0 * np.std([b[name] for b in beams], ddof=1) / beams[0][name] for name in SHOWN]
     show(f"spread of {seeds} seeds", spread, 0.0, "9.2f")

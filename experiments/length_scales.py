@@ -1,9 +1,9 @@
-"""How well models of few evaluations predict the others, by the prior of the length-scales and the prior mean.
+"""Predictive density of models with few evaluations, for priors of the length-scales and prior means.
 
-For each problem and number of evaluations, models of all objectives are trained on random set-points and asked for 200
-others. Printed is the mean log density of what is found there, per objective and point, each objective in units of its
-standard deviation; more is better, and differences of 0.1 are worth having. The locations are those of the prior, in
-units of the root of the number of variables; the standard deviation is the default's.
+For each problem and number of evaluations, models of all objectives are trained on random set-points and evaluated at
+200 others. Printed is the mean log density of the true values there, per objective and point, each objective in units
+of its standard deviation. Higher is better; differences of 0.1 matter. The locations are those of the prior, in units
+of the root of the number of variables; its standard deviation is the default.
 
     python -m experiments.length_scales --problems toy dtlz2 awa linear20
 """
@@ -23,16 +23,16 @@ from mobo_tuner.core.pareto import FloatArray
 
 Function = Callable[[FloatArray], FloatArray]
 POINTS = 200
-LEAST_STDDEV = 1e-3  # what a measurement can tell apart, in standard deviations of the objective
+LEAST_STDDEV = 1e-3  # resolution of a measurement, in standard deviations of the objective
 
 
 def distances(x: FloatArray) -> FloatArray:
-    """Distances of `(n, d)` to two points on the diagonal, `(n, 2)`; every variable matters."""
+    """Return the distances of `(n, d)` to two points on the diagonal, `(n, 2)`; all variables matter."""
     return np.stack([np.linalg.norm(x - c, axis=1) for c in (0.5, -0.5)], axis=1)
 
 
 def few_of_many(x: FloatArray) -> FloatArray:
-    """Waves in three variables of `(n, d)`, `(n, 2)`; the others do not matter."""
+    """Return waves in three of the variables `(n, d)`, `(n, 2)`; the others do not matter."""
     return np.stack(
         [np.sin(x[:, :3] @ [3.0, 1.0, 0.5]), np.cos(x[:, :3] @ [0.5, -2.0, 1.0])], axis=1
     )
@@ -52,7 +52,7 @@ PROBLEMS: dict[str, Callable[[], tuple[int, Function]]] = {
 
 
 def log_density(function: Function, d: int, n: int, mean: MeanName, seed: int) -> float:
-    """Mean log density of other points under models of n random ones."""
+    """Return the mean log density of other points under models of n random points."""
     rng = np.random.default_rng([seed, n])
     x = rng.uniform(-1.0, 1.0, (n + POINTS, d))
     y = function(x)
@@ -60,7 +60,7 @@ def log_density(function: Function, d: int, n: int, mean: MeanName, seed: int) -
     settings = GaussianProcessSettings(mean=mean)
     densities = []
     for values, unit in zip(y.T, spread, strict=True):
-        # A reference point as a problem names it: the worst value that was seen.
+        # A typical reference point: the worst value so far.
         model = GaussianProcess(settings, reference=float(values.max()))
         model.fit(x[:n], values[:n], rng=np.random.default_rng(seed))
         predicted, stddev = model.predict(x[n:])
@@ -73,28 +73,44 @@ def log_density(function: Function, d: int, n: int, mean: MeanName, seed: int) -
 def row(
     function: Function, d: int, n: int, mean: MeanName, locations: Sequence[float], seeds: int
 ) -> str:
-    """Mean log density for each location, and the standard error of their differences."""
+    """Return the mean log density for each location, and the standard error of their differences."""
     found = np.empty((seeds, len(locations)))
     for j, location in enumerate(locations):
         logarithm = float(np.log(location) + 0.5 * np.log(d))
         kernels.typical_log_length_scale = lambda _, value=logarithm: value  # type: ignore[assignment, misc]
         found[:, j] = [log_density(function, d, n, mean, seed) for seed in range(seeds)]
-    # What is left without the means of seeds and locations is the spread of the differences.
+    # The residual without the means of seeds and locations is the spread of the differences.
     left = found - found.mean(axis=1, keepdims=True) - found.mean(axis=0) + found.mean()
     error = left.std() * np.sqrt(2.0 / max(seeds - 1, 1))
     return " ".join(f"{value:8.3f}" for value in found.mean(axis=0)) + f"   +- {error:.3f}"
 
 
 def main() -> None:
-    """Print a row for each problem, number of evaluations and prior mean."""
+    """Print a row per problem, number of evaluations and prior mean."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--problems", nargs="+", choices=list(PROBLEMS), default=list(PROBLEMS))
-    parser.add_argument("--evaluations", nargs="+", type=int, default=[8, 16, 32])
-    parser.add_argument("--locations", nargs="+", type=float, default=[0.5, 1.0, 1.4, 2.0, 4.0])
-    parser.add_argument("--means", nargs="+", default=["auto"], help="auto, data, reference")
-    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument(
+        "--problems",
+        nargs="+",
+        choices=list(PROBLEMS),
+        default=list(PROBLEMS),
+        help="test problems",
+    )
+    parser.add_argument(
+        "--evaluations", nargs="+", type=int, default=[8, 16, 32], help="numbers of evaluations"
+    )
+    parser.add_argument(
+        "--locations",
+        nargs="+",
+        type=float,
+        default=[0.5, 1.0, 1.4, 2.0, 4.0],
+        help="locations of the prior",
+    )
+    parser.add_argument(
+        "--means", nargs="+", default=["auto"], help="prior means: auto, data, reference"
+    )
+    parser.add_argument("--seeds", type=int, default=10, help="number of seeds")
     options = parser.parse_args()
     print(
         "problem        n  mean       "

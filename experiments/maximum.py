@@ -1,7 +1,7 @@
-"""How much of an acquisition function's maximum the search of a suggestion finds, and what it costs.
+"""Fraction of an acquisition function's maximum that the maximiser finds, and its cost.
 
-For each archive and number of evaluations told, the acquisition function is maximised with several seeds. The
-best value known comes from a search with far more starts, kept in experiments/.cache, and from the searches timed here.
+For each archive and number of evaluations, the acquisition function is maximised with several seeds. The best known
+value is the best of these searches and of one with far more starts, which is kept in experiments/.cache.
 
     python -m experiments.maximum --archives awa sphere --told 100 500 --acquisitions ehvi
 """
@@ -36,7 +36,7 @@ MAXIMIZERS: dict[str, Maximizer] = {"multi_start": MultiStart(), "particle_swarm
 
 
 def find(maximizer: Maximizer, optimizer: Optimizer, seed: int) -> tuple[float, float]:
-    """Logarithm of the largest value found, and CPU time [s]."""
+    """Return the logarithm of the largest value found, and the CPU time [s]."""
     acquisition = optimizer._acquisition_function()
     starts = optimizer.dataset.inputs[optimizer._front_rows()]
     started = time.process_time()
@@ -48,21 +48,29 @@ def find(maximizer: Maximizer, optimizer: Optimizer, seed: int) -> tuple[float, 
 
 
 def main() -> None:
-    """Print a row for each archive, number of evaluations and acquisition function."""
+    """Print a row per archive, number of evaluations and acquisition function."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--archives", nargs="+", choices=NAMES, default=NAMES)
-    parser.add_argument("--told", nargs="+", type=int, default=[60, 120, 250, 500])
-    parser.add_argument("--acquisitions", nargs="+", default=["ehvi", "ucb_hvi"])
-    parser.add_argument("--maximizer", choices=list(MAXIMIZERS), default="multi_start")
-    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument(
+        "--archives", nargs="+", choices=NAMES, default=NAMES, help="sets of evaluations"
+    )
+    parser.add_argument(
+        "--told", nargs="+", type=int, default=[60, 120, 250, 500], help="numbers of evaluations"
+    )
+    parser.add_argument(
+        "--acquisitions", nargs="+", default=["ehvi", "ucb_hvi"], help="acquisition functions"
+    )
+    parser.add_argument(
+        "--maximizer", choices=list(MAXIMIZERS), default="multi_start", help="maximiser"
+    )
+    parser.add_argument("--seeds", type=int, default=5, help="number of searches")
     options = parser.parse_args()
 
     path = cached(f"maxima-{surrogate_digest()}.json")
     best = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    print("share of the largest value known: mean, least; median CPU time of a search [s]")
-    print("archive  told acquis.     mean   least   CPU s   thorough s")
+    print("fraction of the largest known value: mean, lowest; median CPU time of a search [s]")
+    print("archive  told acquis.     mean  lowest   CPU s   thorough s")
     for name in options.archives:
         source = archive(name, 500)
         for told in options.told:

@@ -1,12 +1,12 @@
-"""Evaluations that each preset needs for the hypervolume NSGA-II has after many, on the AWA surrogate.
+"""Number of evaluations that each preset needs to reach the hypervolume of a long NSGA-II run, on the AWA surrogate.
 
 NSGA-II as in the paper: 20 individuals, crossover probability 0.8, mutation probability 0.05 (of each variable). The
-hypervolume to reach counts everything that it evaluated, which favours it; that of its last population is shown beside
-it. A front of more than 1000 points is measured by random points in its box, with the standard error. Random search
-with as many evaluations as the preset needed is reported with it.
+hypervolume to reach includes all its evaluations, which favours NSGA-II; that of its last population is also shown. The
+hypervolume of a front of more than 1000 points is estimated with random points in its box, with the standard error. The
+result of random search with the same number of evaluations as the preset is also shown.
 
-NSGA-II needs `experiments/requirements.txt`. All results, also of unfinished runs, are kept in
-experiments/.cache: a benchmark that was stopped continues where it was.
+NSGA-II needs `experiments/requirements.txt`. All results, also of unfinished runs, are kept in experiments/.cache: an
+interrupted benchmark continues where it stopped.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 
 from experiments.problems import Benchmark, awa, cached, first_reaching, surrogate_digest
-from experiments.saved_runs import saved_run
+from experiments.run_cache import cached_run
 from mobo_tuner.core.hypervolume import hypervolume
 from mobo_tuner.core.pareto import FloatArray, is_nondominated
 
@@ -29,7 +29,7 @@ SAMPLES = 1_000_000
 
 
 def nsga2(benchmark: Benchmark, evaluations: int, seed: int) -> tuple[FloatArray, FloatArray]:
-    """All objectives `(n, P)` that NSGA-II evaluates, in order, and those of its last population."""
+    """Return all objectives `(n, P)` evaluated by NSGA-II, in order, and those of its last population."""
     from pymoo.algorithms.moo.nsga2 import NSGA2
     from pymoo.core.problem import Problem as PymooProblem
     from pymoo.operators.crossover.sbx import SBX
@@ -60,7 +60,12 @@ def nsga2(benchmark: Benchmark, evaluations: int, seed: int) -> tuple[FloatArray
 def cached_nsga2(
     benchmark: Benchmark, evaluations: int, seed: int
 ) -> tuple[float, float, float, int]:
-    """Hypervolume of all evaluations, its standard error, that of the last population, the front's points."""
+    """Return the results of NSGA-II, from the cache if they are there.
+
+    Returns:
+        The hypervolume of all evaluations, its standard error, the hypervolume of the last population, and the number
+        of points in the front.
+    """
     path = cached(f"nsga2-{surrogate_digest()}-{evaluations}-{seed}.npy")
     if not path.exists():
         evaluated, last = nsga2(benchmark, evaluations, seed)
@@ -76,13 +81,13 @@ def cached_nsga2(
 def any_hypervolume(
     benchmark: Benchmark, front: FloatArray, rng: np.random.Generator
 ) -> tuple[float, float]:
-    """Hypervolume of a front `(n, P)` and its standard error, 0 where it is exact."""
+    """Return the hypervolume of a front `(n, P)` and its standard error, 0 if it is exact."""
     reference = benchmark.problem.reference_point
     if len(front) <= MANY:
         return benchmark.score(front), 0.0
     ideal = front.min(axis=0)
     box = float(np.prod(reference - ideal)) / benchmark.unit
-    # Large dominated volumes first: most samples meet their dominating point at once.
+    # Large dominated volumes first, so that a dominating point is found quickly for most samples.
     order = np.argsort(-np.log(reference - front).sum(axis=1))
     samples = ideal + (reference - ideal) * rng.random((SAMPLES, len(ideal)))
     share = _dominated(front[order], samples) / SAMPLES
@@ -91,7 +96,7 @@ def any_hypervolume(
 
 @njit(cache=True)
 def _dominated(front: FloatArray, samples: FloatArray) -> int:
-    """Number of samples that a point of the front dominates."""
+    """Return the number of samples that the front dominates."""
     count = 0
     for sample in samples:
         for point in front:
@@ -107,14 +112,14 @@ def _dominated(front: FloatArray, samples: FloatArray) -> int:
 
 
 def random_search(benchmark: Benchmark, evaluations: int, seed: int) -> float:
-    """Hypervolume of random set-points."""
+    """Return the hypervolume of random set-points."""
     rng = np.random.default_rng([seed, 12345])
     x = rng.uniform(-1.0, 1.0, (evaluations, len(benchmark.problem.variables)))
     return hypervolume(benchmark.objectives(x), benchmark.problem.reference_point) / benchmark.unit
 
 
 def _parsed(value: str) -> object:
-    """A number or JSON where it is one, the word itself elsewhere."""
+    """Return the value of a JSON text, or the text itself if it is not JSON."""
     try:
         return json.loads(value)
     except ValueError:
@@ -122,16 +127,22 @@ def _parsed(value: str) -> object:
 
 
 def main() -> None:
-    """Print a row for each seed of NSGA-II and of each preset."""
+    """Print a row per seed of NSGA-II and of each preset."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--presets", nargs="*", default=["default", "paper"])
-    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
-    parser.add_argument("--nsga2-evaluations", type=int, default=17_500)
-    parser.add_argument("--cap", type=int, default=500, help="most evaluations of a preset")
     parser.add_argument(
-        "--set", nargs="*", default=[], help="choices in place of the preset's, name=value"
+        "--presets", nargs="*", default=["default", "paper"], help="presets of the optimiser"
+    )
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="seeds")
+    parser.add_argument(
+        "--nsga2-evaluations", type=int, default=17_500, help="number of evaluations of NSGA-II"
+    )
+    parser.add_argument(
+        "--cap", type=int, default=500, help="highest number of evaluations of a preset"
+    )
+    parser.add_argument(
+        "--set", nargs="*", default=[], help="settings that override the preset, name=value"
     )
     options = parser.parse_args()
 
@@ -152,7 +163,7 @@ def main() -> None:
             settings = {
                 name: _parsed(value) for name, value in (p.split("=", 1) for p in options.set)
             }
-            outcome = saved_run(
+            outcome = cached_run(
                 "awa", benchmark, options.cap, seed, enough=enough, preset=preset, **settings
             )
             curve = outcome.hypervolumes

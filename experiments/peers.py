@@ -1,8 +1,8 @@
-"""CPU time of one suggestion against Xopt's MOBO and BoTorch's qLogEHVI, on the same data, on one thread.
+"""CPU time of one suggestion, compared with Xopt's MOBO and BoTorch's qLogEHVI on one thread.
 
-The data are `n` Latin-hypercube points of DTLZ2 in six variables, and then what each suggests itself. The
-peers run with their defaults (Xopt) and with the settings of BoTorch's own tutorial (128 Sobol samples, 10
-restarts, 512 raw samples). Needs experiments/requirements.txt.
+The data are the same `n` Latin-hypercube points of DTLZ2 in six variables, followed by the suggestions of each
+optimiser. Xopt runs with its defaults, BoTorch with the settings of its own tutorial (128 Sobol samples, 10 restarts,
+512 raw samples). Needs experiments/requirements.txt.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Suggester = Callable[[Array, Array], Array]
 
 
 def dtlz2(x: Array, n_objectives: int) -> Array:
-    """DTLZ2 of one point `(d,)` in [0, 1]: `(P,)`, with the front on the unit sphere."""
+    """Return DTLZ2 of one point `(d,)` in [0, 1], `(P,)`; its front is on the unit sphere."""
     radius = 1.0 + float(np.square(x[n_objectives - 1 :] - 0.5).sum())
     angles = 0.5 * np.pi * x[: n_objectives - 1]
     values = np.full(n_objectives, radius)
@@ -52,7 +52,7 @@ def dtlz2(x: Array, n_objectives: int) -> Array:
 
 
 def ours(n_objectives: int) -> Suggester:
-    """This project's default preset; it keeps its models, as it does in a run."""
+    """Return this project's optimiser with its default preset; it keeps its models, as in a run."""
     problem = Problem.from_dict(
         {
             "variables": {f"x{j}": {"min": 0.0, "max": 1.0} for j in range(N_VARIABLES)},
@@ -73,7 +73,7 @@ def ours(n_objectives: int) -> Suggester:
 
 
 def xopt(n_objectives: int) -> Suggester:
-    """Xopt's MOBO generator with its defaults."""
+    """Return Xopt's MOBO generator with its defaults."""
     vocs = VOCS(
         variables={f"x{j}": [0.0, 1.0] for j in range(N_VARIABLES)},
         objectives={f"y{i}": "MINIMIZE" for i in range(n_objectives)},
@@ -92,7 +92,7 @@ def xopt(n_objectives: int) -> Suggester:
 
 
 def botorch(n_objectives: int) -> Suggester:
-    """BoTorch's qLogEHVI over independent models, as in its tutorial."""
+    """Return BoTorch's qLogEHVI with independent models, as in its tutorial."""
     bounds = torch.tensor([[0.0] * N_VARIABLES, [1.0] * N_VARIABLES], dtype=torch.float64)
     reference = torch.full((n_objectives,), -REFERENCE, dtype=torch.float64)
 
@@ -123,7 +123,14 @@ PEERS: dict[str, Callable[[int], Suggester]] = {"xopt": xopt, "botorch": botorch
 def suggestion_times(
     suggest: Suggester, n: int, n_objectives: int, limit: float
 ) -> Iterator[float]:
-    """CPU seconds of suggestions in a row, each evaluated and told, until `limit` is spent."""
+    """Yield the CPU time of consecutive suggestions [s] until their sum exceeds a limit.
+
+    Args:
+        suggest: Optimiser.
+        n: Number of initial points.
+        n_objectives: Number of objectives.
+        limit: Limit of the CPU time [s].
+    """
     x = qmc.LatinHypercube(N_VARIABLES, rng=np.random.default_rng(1)).random(n)
     y = np.array([dtlz2(row, n_objectives) for row in x])
     spent = 0.0
@@ -137,22 +144,33 @@ def suggestion_times(
 
 
 def main() -> None:
-    """Time every peer on every case."""
+    """Time every peer in every case."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", nargs="+", default=["2:20", "3:20", "3:100", "5:20"], help="P:n")
-    parser.add_argument("--peers", nargs="+", choices=list(PEERS), default=list(PEERS))
-    parser.add_argument("--suggestions", type=int, default=5, help="at most, of each")
-    parser.add_argument("--limit", type=float, default=150.0, help="CPU seconds for each")
+    parser.add_argument(
+        "--cases",
+        nargs="+",
+        default=["2:20", "3:20", "3:100", "5:20"],
+        help="numbers of objectives and initial points, P:n",
+    )
+    parser.add_argument(
+        "--peers", nargs="+", choices=list(PEERS), default=list(PEERS), help="peers to time"
+    )
+    parser.add_argument(
+        "--suggestions", type=int, default=5, help="highest number of suggestions of each optimiser"
+    )
+    parser.add_argument(
+        "--limit", type=float, default=150.0, help="CPU time limit for each optimiser and case [s]"
+    )
     options = parser.parse_args()
     if os.environ.get("OMP_NUM_THREADS") != "1":
-        parser.error("set OMP_NUM_THREADS=1: one thread for everyone")
+        parser.error("OMP_NUM_THREADS must be 1, so that all use one thread")
     warnings.simplefilter("ignore")
     torch.set_num_threads(1)
     torch.set_default_dtype(torch.float64)
-    list(zip(range(3), suggestion_times(ours(2), 8, 2, 60.0), strict=False))  # compile
+    list(zip(range(3), suggestion_times(ours(2), 8, 2, 60.0), strict=False))  # warm-up: compilation
 
     names = ["ours", *options.peers]
-    print(f"CPU s of a suggestion: {', '.join(names)}; times that ours is faster than each peer")
+    print(f"CPU time of a suggestion [s]: {', '.join(names)}; speed-up of ours over each peer")
     for case in options.cases:
         n_objectives, n = (int(word) for word in case.split(":"))
         medians = []

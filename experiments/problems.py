@@ -1,7 +1,4 @@
-"""Problems of the benchmarks: each with its noiseless machine and its own measure of hypervolume.
-
-Beside them what the benchmarks share: a run of the optimiser, and a folder of results that take long to make.
-"""
+"""Test problems with noiseless machines, runs of the optimiser on them, and a cache for results."""
 
 from __future__ import annotations
 
@@ -28,14 +25,14 @@ SURROGATE_FOLDER = Path(surrogate_metadata.__file__).parent
 
 @dataclass(frozen=True)
 class Benchmark:
-    """A problem and the machine that answers to it.
+    """A problem and its machine.
 
     Attributes:
-        problem: what is tuned; every objective is minimised.
-        objectives: from normalised set-points `(n, d)` to objectives `(n, P)`.
-        unit: hypervolume that counts as one.
-        others: diagnostics beside the objectives, by name, from normalised set-points `(n, d)` to `(n,)`.
-        fails: whether the evaluation at a set-point in physical units fails.
+        problem: Problem; every objective is minimised.
+        objectives: Function from normalised set-points `(n, d)` to objectives `(n, P)`.
+        unit: Unit of the hypervolume.
+        others: Functions from normalised set-points `(n, d)` to other diagnostics `(n,)`, by name.
+        fails: Function that returns whether the evaluation at a set-point in physical units fails.
     """
 
     problem: Problem
@@ -45,7 +42,7 @@ class Benchmark:
     fails: Callable[[dict[str, float]], bool] | None = None
 
     def measure(self, setpoint: dict[str, float]) -> dict[str, float]:
-        """All diagnostics at a set-point in physical units; none where the evaluation fails."""
+        """Return all diagnostics at a set-point in physical units; none if the evaluation fails."""
         if self.fails is not None and self.fails(setpoint):
             return {}
         x = self.problem.normalize(setpoint)[None]
@@ -53,20 +50,20 @@ class Benchmark:
         return values | {name: other(x)[0] for name, other in (self.others or {}).items()}
 
     def score(self, objectives: FloatArray) -> float:
-        """Hypervolume of objectives `(n, P)`, in `unit`."""
+        """Return the hypervolume of objectives `(n, P)`, in `unit`."""
         return hypervolume(objectives, self.problem.reference_point) / self.unit
 
 
 @dataclass
 class Run:
-    """What a run of the optimiser left behind.
+    """Result of a run of the optimiser.
 
     Attributes:
-        optimizer: at the end of the run.
-        hypervolumes: after each evaluation, `(n,)`, in the benchmark's unit.
-        asks: wall time of each `ask` [s], `(n,)`.
+        optimizer: Optimiser at the end of the run.
+        hypervolumes: Hypervolume after each evaluation in the benchmark's unit, `(n,)`.
+        asks: Wall time of each `ask` [s], `(n,)`.
         cpu: CPU time of each `ask` [s], `(n,)`.
-        seconds: wall time of the whole run [s].
+        seconds: Wall time of the whole run [s].
     """
 
     optimizer: Optimizer
@@ -84,7 +81,15 @@ def run(
     enough: float = math.inf,
     **settings: Any,
 ) -> Run:
-    """Ask and tell, from the initial design until `evaluations` or a hypervolume of `enough`."""
+    """Run the optimiser, including its initial design.
+
+    Args:
+        benchmark: Problem and machine.
+        evaluations: Highest number of evaluations.
+        seed: Seed of the optimiser.
+        enough: Hypervolume at which the run ends.
+        settings: Settings of the optimiser.
+    """
     optimizer = Optimizer(benchmark.problem, seed=seed, **settings)
     return resume(benchmark, optimizer, evaluations, enough)
 
@@ -92,7 +97,7 @@ def run(
 def resume(
     benchmark: Benchmark, optimizer: Optimizer, evaluations: int, enough: float = math.inf
 ) -> Run:
-    """Ask and tell `evaluations` times, or until a hypervolume of `enough`."""
+    """Continue with `evaluations` more evaluations, or until a hypervolume of `enough`."""
     hypervolumes: list[float] = []
     asks, cpu = [], []
     start = time.perf_counter()
@@ -108,22 +113,24 @@ def resume(
 
 
 def first_reaching(hypervolumes: FloatArray, enough: float) -> int | None:
-    """Number of evaluations after which the hypervolume is at least `enough`."""
+    """Return the number of evaluations after which the hypervolume is at least `enough`, or None."""
     reached = np.flatnonzero(hypervolumes >= enough)
     return int(reached[0]) + 1 if len(reached) else None
 
 
 def toy_objectives(x: FloatArray) -> FloatArray:
-    """Distances to (1, 1) and (-1, -1) over [-2, 2]^2, [Roussel2021] Eq. (eqn:toy_problem)."""
+    """Return the distances to (1, 1) and (-1, -1) over [-2, 2]^2: the paper's Eq. (5), eqn:toy_problem."""
     return np.stack(
         [np.linalg.norm(2.0 * x - 1.0, axis=1), np.linalg.norm(2.0 * x + 1.0, axis=1)], axis=1
     )
 
 
 def toy(constrained: bool = False, failing: bool = False) -> Benchmark:
-    """The paper's toy problem; the unit is the true hypervolume, for the reference point 4.3.
+    """Return the paper's toy problem; the unit is the true hypervolume for the reference point 4.3.
 
-    Constrained, x_1 <= 0.5 (figure toy_constrained). Failing, every evaluation at x_1 > 0 fails.
+    Args:
+        constrained: Whether x_1 <= 0.5 is required (figure toy_constrained).
+        failing: Whether every evaluation at x_1 > 0 fails.
     """
     reference = 4.3
     definition: dict[str, Any] = {
@@ -141,7 +148,7 @@ def toy(constrained: bool = False, failing: bool = False) -> Benchmark:
 
 
 def dtlz2(n_objectives: int = 3, n_variables: int = 6) -> Benchmark:
-    """DTLZ2, whose front is the unit sphere's part with no negative component; reference point 2."""
+    """Return DTLZ2 with reference point 2; its front is the positive part of the unit sphere."""
 
     def objectives(x: FloatArray) -> FloatArray:
         unit = 0.5 * (x + 1.0)
@@ -163,10 +170,10 @@ def dtlz2(n_objectives: int = 3, n_variables: int = 6) -> Benchmark:
 
 
 def awa() -> Benchmark:
-    """The AWA surrogate, six variables and seven objectives, as in the paper's section sec:accelerator.
+    """Return the AWA surrogate with six variables and seven objectives, as in the paper's section sec:accelerator.
 
-    The reference point is the greatest value of each objective. The unit makes the hypervolume that of objectives
-    scaled to [-1, 1], reference point 1; the whole box has 2^7.
+    The reference point is the highest value of each objective. In the benchmark's unit, the hypervolume is that of
+    objectives scaled to [-1, 1] with reference point 1; the whole box has 2^7.
     """
     config = Problem.from_yaml(AWA_CONFIG)
     names = config.objective_names
@@ -193,13 +200,13 @@ def awa() -> Benchmark:
 
 
 def _limits(problem: Problem) -> dict[str, tuple[float, float]]:
-    """Bounds of the variables, in the order of the surrogate's inputs."""
+    """Return the bounds of the variables, in the order of the surrogate's inputs."""
     bounds = {v.name: (v.minimum, v.maximum) for v in problem.variables}
     return {i.name: bounds[i.name] for i in surrogate_metadata.SETTINGS}
 
 
 def surrogate_digest() -> str:
-    """Eight hexadecimal digits that change with the surrogate."""
+    """Return eight hexadecimal digits that identify the surrogate."""
     digest = hashlib.sha256()
     for name in ("weights.npz", "trained.json"):
         digest.update((SURROGATE_FOLDER / name).read_bytes())
@@ -207,6 +214,6 @@ def surrogate_digest() -> str:
 
 
 def cached(name: str) -> Path:
-    """Path of a file in the folder of results, which exists."""
+    """Return the path of a file in the cache folder, which is created if it is missing."""
     CACHE.mkdir(exist_ok=True)
     return CACHE / name

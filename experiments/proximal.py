@@ -1,8 +1,9 @@
-"""Proximal biasing against none: length of steps and hypervolume, on the toy problem and on the AWA surrogate.
+"""Step length and hypervolume with and without proximal biasing, on the toy problem and on the AWA surrogate.
 
-The toy starts from 5 random points, the AWA surrogate from the preset's own design; both runs of a seed from the same
-points. A step is the Euclidean distance between two suggested set-points in a row, every variable spanning 2. All runs
-are kept in experiments/.cache, unfinished ones too: stopped, the benchmark goes on where it was.
+Runs on the toy problem start from 5 random points, runs on the AWA surrogate from the preset's initial design; both
+runs of a seed start from the same points. The step length is the Euclidean distance between consecutive suggested
+set-points, with a range of 2 for every variable. All runs are kept in experiments/.cache, also unfinished ones: an
+interrupted benchmark continues where it stopped.
 
     python -m experiments.proximal --problems toy awa
 """
@@ -15,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 
 from experiments.problems import Benchmark, Run, awa, toy
-from experiments.saved_runs import saved_run
+from experiments.run_cache import cached_run
 from experiments.toy import START
 
 PROBLEMS: dict[str, tuple[Callable[[], Benchmark], dict[str, object]]] = {
@@ -25,14 +26,14 @@ PROBLEMS: dict[str, tuple[Callable[[], Benchmark], dict[str, object]]] = {
 
 
 def mean_step(outcome: Run) -> float:
-    """Mean length of the steps between suggested set-points."""
+    """Return the mean length of the steps between suggested set-points."""
     inputs = outcome.optimizer.dataset.inputs[: len(outcome.hypervolumes)]
     first = outcome.optimizer.initial_evaluations - 1
     return float(np.linalg.norm(np.diff(inputs[first:], axis=0), axis=1).mean())
 
 
 def compare(name: str, options: argparse.Namespace) -> None:
-    """Print a line for each seed and the ratios of the means."""
+    """Print a line per seed and the ratios of the means."""
     make, settings = PROBLEMS[name]
     benchmark, n = make(), options.evaluations
     print(f"{name}, precision {options.precision:g}, {n} evaluations, preset {options.preset}")
@@ -40,7 +41,7 @@ def compare(name: str, options: argparse.Namespace) -> None:
     lengths, volumes = [], []
     for seed in range(options.seeds):
         pair = [
-            saved_run(
+            cached_run(
                 name, benchmark, n, seed, preset=options.preset, **settings, proximal=precision
             )
             for precision in (None, options.precision)
@@ -59,15 +60,25 @@ def _line(label: str, step: list[float], volume: list[float]) -> str:
 
 
 def main() -> None:
-    """Compare on every problem asked for."""
+    """Compare on every selected problem."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--problems", nargs="+", choices=list(PROBLEMS), default=list(PROBLEMS))
-    parser.add_argument("--precision", type=float, default=4.0, help="of normalised variables")
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--evaluations", type=int, default=300)
-    parser.add_argument("--preset", default="default")
+    parser.add_argument(
+        "--problems",
+        nargs="+",
+        choices=list(PROBLEMS),
+        default=list(PROBLEMS),
+        help="test problems",
+    )
+    parser.add_argument(
+        "--precision", type=float, default=4.0, help="precision in normalised variables"
+    )
+    parser.add_argument("--seeds", type=int, default=10, help="number of seeds")
+    parser.add_argument(
+        "--evaluations", type=int, default=300, help="number of evaluations of a run"
+    )
+    parser.add_argument("--preset", default="default", help="preset of the optimiser")
     options = parser.parse_args()
     for name in options.problems:
         compare(name, options)

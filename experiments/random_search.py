@@ -1,8 +1,7 @@
-"""Hypervolume of the optimiser against random search with as many evaluations, on the AWA surrogate.
+"""Hypervolume of the optimiser and of random search with the same number of evaluations, on the AWA surrogate.
 
-The measure is the paper's ([Roussel2021], section subsec:convergence): objectives scaled to [-1, 1]
-over their range, reference point 1, noiseless machine. Prints one line a seed and the ratio of the
-means.
+The measure is that of the paper (section subsec:convergence): objectives scaled to [-1, 1] over their range, reference
+point 1, noiseless machine. Prints one line per seed and the ratio of the means.
 """
 
 from __future__ import annotations
@@ -15,11 +14,13 @@ from experiments.problems import awa, run
 
 
 def main() -> None:
-    """Run both on every seed."""
+    """Run both with every seed."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--evaluations", type=int, default=60)
-    parser.add_argument("--preset", default="default")
+    parser.add_argument("--seeds", type=int, default=5, help="number of seeds")
+    parser.add_argument(
+        "--evaluations", type=int, default=60, help="number of evaluations of a run"
+    )
+    parser.add_argument("--preset", default="default", help="preset of the optimiser")
     options = parser.parse_args()
 
     benchmark = awa()

@@ -1,6 +1,6 @@
 """The paper's toy problem: sample efficiency, failures, a constraint.
 
-Every run starts from 5 random points, as in the paper. Prints one part after another, means over the seeds.
+Every run starts from 5 random points, as in the paper. Prints one part after another, averaged over the seeds.
 
     python -m experiments.toy --parts share failures constraint
 """
@@ -18,12 +18,12 @@ START: dict[str, object] = {"initial_evaluations": 5, "initial_design": "random"
 
 
 def share(options: argparse.Namespace) -> None:
-    """Share of the true hypervolume, reference point 4.3."""
+    """Print the fraction of the true hypervolume, reference point 4.3."""
     at = [10, 15, 20, 25, 40, 60]
-    print(f"share of the true hypervolume after evaluations, {options.seeds} seeds")
+    print(f"fraction of the true hypervolume by number of evaluations, {options.seeds} seeds")
     print("                " + "".join(f"{n:8d}" for n in at))
     curves = np.array([_run(toy(), 60, s, options).hypervolumes for s in range(options.seeds)])
-    rows = {"mean": np.mean, "std.dev.": np.std, "least": np.min}
+    rows = {"mean": np.mean, "std.dev.": np.std, "lowest": np.min}
     for name, function in rows.items():
         print(
             f"{options.preset:8s}{name:8s}"
@@ -32,7 +32,7 @@ def share(options: argparse.Namespace) -> None:
 
 
 def failures(options: argparse.Namespace) -> None:
-    """Evaluations that fail where half of the input space does."""
+    """Print the number of failed evaluations if half of the input space fails."""
     failing = toy(failing=True)
     counts = []
     for seed in range(options.seeds):
@@ -46,14 +46,14 @@ def failures(options: argparse.Namespace) -> None:
 
 
 def constraint(options: argparse.Namespace) -> None:
-    """Share of evaluations that violate x1 <= 0.5."""
+    """Print the fraction of evaluations that violate x1 <= 0.5."""
     feasible = np.array(
         [
             _run(toy(constrained=True), 50, s, options).optimizer.dataset.feasible
             for s in range(options.constraint_seeds)
         ]
     )
-    print(f"share that violates x1 <= 0.5, {options.constraint_seeds} seeds")
+    print(f"fraction that violates x1 <= 0.5, {options.constraint_seeds} seeds")
     print("evaluations   first 5" + "".join(f"  {i + 1:3d}-{i + 9:<3d}" for i in range(5, 50, 9)))
     parts = [feasible[:, :5], *(feasible[:, i : i + 9] for i in range(5, 50, 9))]
     print("violating   " + "".join(f"{1.0 - p.mean():9.3f}" for p in parts))
@@ -81,14 +81,18 @@ PARTS: dict[str, Callable[[argparse.Namespace], None]] = {
 
 
 def main() -> None:
-    """Print the parts asked for."""
+    """Print the selected parts."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--parts", nargs="+", choices=list(PARTS), default=list(PARTS))
-    parser.add_argument("--preset", default="default")
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--constraint-seeds", type=int, default=25)
+    parser.add_argument(
+        "--parts", nargs="+", choices=list(PARTS), default=list(PARTS), help="parts to print"
+    )
+    parser.add_argument("--preset", default="default", help="preset of the optimiser")
+    parser.add_argument("--seeds", type=int, default=10, help="number of seeds")
+    parser.add_argument(
+        "--constraint-seeds", type=int, default=25, help="number of seeds for the constraint"
+    )
     options = parser.parse_args()
     for part in options.parts:
         PARTS[part](options)

@@ -1,11 +1,11 @@
-"""Kill what makes up a run, at random moments, and see that nothing is lost.
+"""Kill the processes of a run at random moments, and check that nothing is lost.
 
-Each kill is drawn from the seed and its number: which process, in which scene, under which policy, when. Afterwards
-the run goes on, by itself or by `resume`, to its end. Counted are evaluations lost beyond the one in flight, waits
-without end, journals and bags that are not whole, machines that are not where the policy says, and suggestions that
-an uninterrupted run would not have made.
+The seed and the number of a kill determine the process, the scene, the policy and the moment. Afterwards the run
+continues to its end, by itself or by `resume`. The script counts evaluations lost in addition to the one in flight,
+hangs, damaged journals and bags, machines at a position that contradicts their policy, and suggestions that differ from
+those of an uninterrupted run.
 
-Results are kept in robustness/.cache as they come: what was stopped goes on where it was.
+Results are kept in robustness/.cache: an interrupted campaign continues where it stopped.
 """
 
 from __future__ import annotations
@@ -36,29 +36,32 @@ from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import JournalError, Record, read_journal
 from mobo_tuner.runs.optimizer_settings import make_optimizer
 from robustness.chaos_scene import CLIENT_TIMEOUT, ROOT, TIMEOUT, HangError, Scene
-from robustness.kept_runs import bag_faults, differing_suggestions, evaluations, has_journal
+from robustness.integrity import bag_faults, differing_suggestions, evaluations, has_journal
 
 TARGETS = {"tuner": 0.35, "machine": 0.15, "bridge": 0.2, "recorder": 0.15, "entry script": 0.15}
 POLICIES = ("hold", "restore", "best")
 BUDGET = 9  # evaluations of a run
-TOLERANCE = 0.05  # of a set-point of the toy problem
-PATIENCE = 25.0  # [s] for a machine to go where its policy says
-END_LIMIT = 15.0  # [s] for everything to end after the entry script was killed
+TOLERANCE = 0.05  # tolerance of a position, in the toy problem's variables
+PATIENCE = 25.0  # [s] for a machine to move to the position of its policy
+END_LIMIT = 15.0  # [s] for all processes to end after the entry script was killed
 
 
 @dataclass
 class Outcome:
-    """What came of one kill.
+    """Result of one kill.
 
     Attributes:
-        number: of the kill.
-        target: what was killed.
-        scene: around which machine.
-        policy: of the machine, when its client is lost.
-        moment: after the beginning of the run [s].
-        evaluations: that the run had when the kill came, by its journal.
-        lost: evaluations lost beyond the one in flight.
-        hangs, corrupt, misplaced, different: one sentence for each fault of that kind.
+        number: Number of the kill.
+        target: Process that was killed.
+        scene: Kind of machine: "machine", "bridge" or "mobo.py".
+        policy: Policy of the machine if its client is lost.
+        moment: Time of the kill since the start of the run [s].
+        evaluations: Number of evaluations in the journal at the kill.
+        lost: Number of evaluations lost in addition to the one in flight.
+        hangs: One sentence per hang.
+        corrupt: One sentence per damaged file.
+        misplaced: One sentence per wrong position of the machine.
+        different: One sentence per difference from an uninterrupted run.
     """
 
     number: int
@@ -75,12 +78,17 @@ class Outcome:
 
     @property
     def well(self) -> bool:
-        """Whether nothing is wrong."""
+        """Whether there is no fault."""
         return not (self.lost or self.hangs or self.corrupt or self.misplaced or self.different)
 
 
 class Chaos:
-    """Makes kills one after another, in scenes that live on between them."""
+    """A series of kills in scenes that are reused.
+
+    Args:
+        folder: Folder of the scenes.
+        seed: Seed of the campaign.
+    """
 
     def __init__(self, folder: Path, seed: int) -> None:
         self._folder = folder
@@ -96,7 +104,11 @@ class Chaos:
             scene.__exit__(None, None, None)
 
     def kill(self, number: int) -> Outcome:
-        """Make one kill and see what comes of it."""
+        """Carry out one kill and return its result.
+
+        Args:
+            number: Number of the kill.
+        """
         rng = np.random.default_rng([self._seed, number])
         target = str(rng.choice(list(TARGETS), p=list(TARGETS.values())))
         bridged = target == "bridge" or (target != "machine" and bool(rng.random() < 0.4))
@@ -115,12 +127,10 @@ class Chaos:
             self._kill_in_scene(scene, outcome, share, speed, rng)
         except HangError as error:
             outcome.hangs.append(str(error))
-        outcome.hangs += [f"the {name} ended of itself" for name in scene.dead()]
+        outcome.hangs += [f"the {name} ended unexpectedly" for name in scene.dead()]
         outcome.corrupt += [f"a traceback in the log of {name}" for name in scene.tracebacks()]
         if not outcome.well:
-            self._scenes.pop(bridged).__exit__(
-                None, None, None
-            )  # its folder stays, to be looked at
+            self._scenes.pop(bridged).__exit__(None, None, None)  # its folder stays for inspection
         return outcome
 
     # ------------------------------------------------------------------ nodes by themselves
@@ -130,7 +140,7 @@ class Chaos:
     ) -> None:
         if scene.bag_is_old:
             if scene.stop("recorder"):
-                outcome.corrupt.append("the recorder did not end well")
+                outcome.corrupt.append("the recorder ended with an error")
             outcome.corrupt += bag_faults(
                 scene.bag, scene.runs_dir, scene.recorded, whole=scene.recorded
             )
@@ -151,7 +161,7 @@ class Chaos:
             where, places = self._judge_tuner(scene, outcome, folder, before, killed)
             scene.start_missing(str(rng.choice(POLICIES)), speed)
             if has_journal(folder):
-                self._go_on(scene, outcome, folder, before, where, places)
+                self._resume(scene, outcome, folder, before, where, places)
             return
         outcome.evaluations = len(scene.client.heard)
         if outcome.target == "recorder":
@@ -160,7 +170,7 @@ class Chaos:
             scene.start_machine(speed)
         result = scene.client.result()
         if result.error_code != Tune.Result.NONE:
-            outcome.hangs.append(f"the run did not go on: {result.error_msg}")
+            outcome.hangs.append(f"the run did not continue: {result.error_msg}")
         elif outcome.target == "recorder":
             self._durations[outcome.scene] = time.monotonic() - started
         self._judge_kept(outcome, read_journal(folder), scene.client.heard, scene.client.started)
@@ -173,22 +183,26 @@ class Chaos:
         before: Mapping[str, float],
         killed: float,
     ) -> tuple[Mapping[str, float], list[Mapping[str, float]]]:
-        """After the tuner was killed: what is kept, where the machine is, and where it should be."""
+        """Judge the journal and the machine's position after the tuner was killed.
+
+        Returns:
+            The position of the machine, and the positions allowed by its policy; none if it holds.
+        """
         scene.client.spin(0.5)
         records = read_journal(folder) if has_journal(folder) else []
         outcome.evaluations = len(evaluations(records))
         self._judge_kept(outcome, records, scene.client.heard, scene.client.started)
         places = self._places(records, outcome.policy, before)
-        # Where it holds it is at rest anyway, once it has noticed.
+        # With "hold", the machine is at rest as soon as it has noticed the loss.
         noticed = killed + CLIENT_TIMEOUT + 1.0
         where = scene.client.watch_until(
             lambda now: not places or _near_any(now, places), noticed, PATIENCE
         )
         if places and not _near_any(where, places):
-            outcome.misplaced.append(f"it is at {where}, not at {places}")
+            outcome.misplaced.append(f"the machine is at {where}, not at {places}")
         return where, places
 
-    def _go_on(
+    def _resume(
         self,
         scene: Scene,
         outcome: Outcome,
@@ -197,25 +211,28 @@ class Chaos:
         where: Mapping[str, float],
         places: list[Mapping[str, float]],
     ) -> None:
-        """Resume the run that was killed, and compare; only now is known what was in flight."""
+        """Resume the killed run, and compare it; only now the evaluation in flight is known."""
         told = evaluations(read_journal(folder))
         after = f"{folder.name}-on"
         scene.begin(Tune.Goal(run_id=after, resume_from=folder.name, evaluations=BUDGET + 2))
         result = scene.client.result()
         if result.error_code != Tune.Result.NONE:
-            outcome.different.append(f"it did not go on: {result.error_msg}")
+            outcome.different.append(f"the run could not be resumed: {result.error_msg}")
             return
         resumed = read_journal(folder.parent / after)
         outcome.different += _differences(told, resumed)
         visited = [record["setpoint"] for record in evaluations(resumed)[: len(told) + 1]]
         start, end = [before, *visited][-2:]
         if not places and not _between(where, start, end):
-            outcome.misplaced.append(f"it holds at {where}, not between {start} and {end}")
+            outcome.misplaced.append(f"the machine holds at {where}, not between {start} and {end}")
 
     def _judge_kept(
         self, outcome: Outcome, records: list[Record], heard: list[Any], begun: set[bytes]
     ) -> None:
-        """Whether the journal has all that was told, and all that the machine began but one."""
+        """Count evaluations that were published, or begun by the machine, but are not in the journal.
+
+        One evaluation may be in flight.
+        """
         told = evaluations(records)
         missing = {(m.index, m.hypervolume) for m in heard} - {
             (record["index"], record["hypervolume"]) for record in told
@@ -226,13 +243,13 @@ class Chaos:
     def _places(
         self, records: list[Record], policy: str, before: Mapping[str, float]
     ) -> list[Mapping[str, float]]:
-        """Where the machine may be by its policy; nowhere in particular where it holds."""
+        """Return the positions allowed by the policy; none if the machine holds."""
         told = evaluations(records)
         if policy == "hold" or any(record["type"] == "end" for record in records):
             return []
         if policy == "restore":
             return [before]
-        # The best there was when the evaluation in flight began, or the one before.
+        # The best point when the evaluation in flight began, or the previous one.
         counts = (len(told), len(told) - 1)
         bests = [_best(records, count) for count in counts if count >= 0]
         return [] if None in bests else [best for best in bests if best is not None]
@@ -260,13 +277,13 @@ class Chaos:
         while (left := _mentioning(str(place))) and time.monotonic() < deadline:
             time.sleep(0.1)
         if left:
-            outcome.hangs.append(f"{len(left)} processes are left: {left[0]}")
+            outcome.hangs.append(f"{len(left)} processes did not end: {left[0]}")
         try:
             self._judge_mobo(outcome, folder)
         except JournalError as error:
             outcome.corrupt.append(str(error))
         if outcome.well:
-            shutil.rmtree(place, ignore_errors=True)  # where it was killed before it made any
+            shutil.rmtree(place, ignore_errors=True)  # missing if the script was killed early
         return outcome
 
     def _judge_mobo(self, outcome: Outcome, folder: Path) -> None:
@@ -289,9 +306,9 @@ class Chaos:
             outcome.corrupt.append(text[-300:])
         if not kept:
             if process.returncode == 0:
-                outcome.different.append("a run that was not kept was resumed")
+                outcome.different.append("a run without a journal was resumed")
         elif process.returncode:
-            outcome.different.append(f"it did not go on: {text[-300:]}")
+            outcome.different.append(f"the run could not be resumed: {text[-300:]}")
         else:
             after = folder.with_name(f"{folder.name}-2")
             outcome.different += _differences(told, read_journal(after))
@@ -300,17 +317,17 @@ class Chaos:
 
 
 def _differences(told: list[Record], resumed: list[Record]) -> list[str]:
-    """How a resumed run differs from what an uninterrupted one would have been."""
+    """Return how a resumed run differs from an uninterrupted one."""
     faults = []
     if evaluations(resumed)[: len(told)] != told:
-        faults.append("the resumed run does not begin as the one that was killed")
+        faults.append("the resumed run does not begin with the evaluations of the killed run")
     if different := differing_suggestions(resumed):
-        faults.append(f"other suggestions than an uninterrupted run's: {different}")
+        faults.append(f"suggestions differ from those of an uninterrupted run: {different}")
     return faults
 
 
 def _best(records: list[Record], count: int) -> Mapping[str, float] | None:
-    """The best point that the first `count` evaluations know; None where they know none."""
+    """Return the best point of the first `count` evaluations, or None."""
     history = History.from_records([records[0], *evaluations(records)[:count]])
     try:
         optimizer = make_optimizer(history.problem, history.settings)
@@ -349,7 +366,7 @@ def _mobo(*words: str) -> subprocess.Popen[bytes]:
 
 
 def _mentioning(text: str) -> list[str]:
-    """Command lines of living processes that mention a folder."""
+    """Return the command lines of running processes that contain a text."""
     found = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
@@ -362,30 +379,30 @@ def _mentioning(text: str) -> list[str]:
 
 
 def summary(outcomes: list[Outcome]) -> str:
-    """What came of all kills, for a person to read."""
+    """Return a summary of all results for people."""
     targets = Counter(outcome.target for outcome in outcomes)
     policies = Counter(outcome.policy for outcome in outcomes if outcome.target == "tuner")
     lines = [
         f"{len(outcomes)} kills: " + ", ".join(f"{n} {name}" for name, n in targets.items()),
         f"  under the policies {dict(policies)}; "
-        f"{sum(o.evaluations for o in outcomes)} evaluations were there when the kills came",
-        f"evaluations lost beyond the one in flight   {sum(o.lost for o in outcomes)}",
+        f"{sum(o.evaluations for o in outcomes)} evaluations before the kills",
+        f"evaluations lost besides the one in flight  {sum(o.lost for o in outcomes)}",
         f"hangs                                       {sum(bool(o.hangs) for o in outcomes)}",
         f"corrupt runs                                {sum(bool(o.corrupt) for o in outcomes)}",
-        f"machines not where the policy says          {sum(bool(o.misplaced) for o in outcomes)}",
-        f"runs that went on otherwise                 {sum(bool(o.different) for o in outcomes)}",
+        f"machines at a wrong position                {sum(bool(o.misplaced) for o in outcomes)}",
+        f"runs that continued differently             {sum(bool(o.different) for o in outcomes)}",
     ]
     return "\n".join(lines)
 
 
 def make_kills(numbers: Sequence[int], seed: int, worker: int, end: float) -> None:
-    """Make some of the kills, and keep what comes of each.
+    """Carry out some of the kills, and save the result of each.
 
     Args:
-        numbers: of the kills.
-        seed: from which they are drawn.
-        worker: number of this process.
-        end: after which no more is begun, by `time.time` [s].
+        numbers: Numbers of the kills.
+        seed: Seed of the campaign.
+        worker: Number of this process.
+        end: Time after which no more kills are started, by `time.time` [s].
     """
     folder = cached(f"chaos-{seed}") / f"worker-{worker}"
     with Chaos(folder, seed) as chaos, _results(seed).open("a", encoding="utf-8") as file:
@@ -403,7 +420,7 @@ def make_kills(numbers: Sequence[int], seed: int, worker: int, end: float) -> No
 
 
 def kept_outcomes(seed: int) -> dict[int, Outcome]:
-    """What came of the kills that were made already, by their numbers."""
+    """Return the saved results by the numbers of the kills."""
     path = _results(seed)
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     return {outcome.number: outcome for outcome in (Outcome(**json.loads(line)) for line in lines)}
@@ -414,13 +431,15 @@ def _results(seed: int) -> Path:
 
 
 def main() -> int:
-    """Make the kills that are missing, and print what came of all."""
+    """Carry out the missing kills, and print the summary of all."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--kills", type=int, default=200, metavar="N")
-    parser.add_argument("--seed", type=int, default=0, metavar="S")
-    parser.add_argument("--workers", type=int, default=2, help="kills at a time")
-    parser.add_argument("--minutes", type=float, default=600.0, help="after which none is begun")
-    parser.add_argument("--fresh", action="store_true", help="forget what was kept")
+    parser.add_argument("--kills", type=int, default=200, metavar="N", help="number of kills")
+    parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the campaign")
+    parser.add_argument("--workers", type=int, default=2, help="number of simultaneous kills")
+    parser.add_argument(
+        "--minutes", type=float, default=600.0, help="time after which no kill is started [min]"
+    )
+    parser.add_argument("--fresh", action="store_true", help="discard the saved results")
     options = parser.parse_args()
     if options.fresh:
         _results(options.seed).unlink(missing_ok=True)

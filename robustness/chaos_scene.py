@@ -1,7 +1,7 @@
 """A tuner, a machine and a recorder as processes that can be killed, and a client of them.
 
-The machine is the simulated one, or one that knows none of our types, behind the bridge. Unlike
-`mobo.py run`, nobody here stops the others when one dies: that is how nodes on several hosts live.
+The machine is the simulated one, or one without the project's message types behind the bridge.
+Unlike with `mobo.py run`, no process stops the others when one dies, as with nodes on several hosts.
 """
 
 from __future__ import annotations
@@ -31,23 +31,28 @@ from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint, Tune
 from mobo_tuner.ros.qos import LATCHED, STREAM
 
 ROOT = Path(__file__).resolve().parents[1]
-TIMEOUT = 90.0  # [s] for anything; what takes longer hangs
-CLIENT_TIMEOUT = 2.0  # [s] of the heartbeat
+TIMEOUT = 90.0  # [s] for any wait; a longer wait is a hang
+CLIENT_TIMEOUT = 2.0  # [s] without a heartbeat
 RUNS_PER_BAG = 12
 _SPIN = 0.05  # [s]
-_POLL = 0.3  # [s] between two looks at the machine
+_POLL = 0.3  # [s] between two readings of the machine's position
 
 
 class HangError(Exception):
-    """Something that should have come did not; the message says what."""
+    """A wait that exceeded its time limit; the message says for what."""
 
 
 class Client:
-    """A client of one scene; a fresh one knows nothing of processes that are dead.
+    """A client of one scene.
+
+    A new client is free of discovery data of dead processes.
+
+    Args:
+        domain_id: ROS domain of the scene.
 
     Attributes:
-        heard: every evaluation that was published.
-        started: ids of the evaluations that the machine has begun.
+        heard: Evaluations published so far.
+        started: Goal IDs of the evaluations that the machine has begun.
     """
 
     def __init__(self, domain_id: int) -> None:
@@ -58,7 +63,7 @@ class Client:
         self._executor.add_node(self._node)
         self._tune = ActionClient(self._node, Tune, "tune")
         self._apply = ActionClient(self._node, ApplySetpoint, "apply_setpoint")
-        # Made last: whoever answers it has discovered all of the clients above.
+        # Created last: a server that answers it has discovered all of the clients above.
         self._probe = self._node.create_client(CancelGoal, "tune/_action/cancel_goal")
         self.heard: list[msg.Evaluation] = []
         self.started: set[bytes] = set()
@@ -82,34 +87,38 @@ class Client:
         self._recorded.update(message.topics)
 
     def spin(self, seconds: float) -> None:
-        """Hear whatever comes within `seconds`."""
+        """Process messages for `seconds`."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=min(left, _SPIN))
 
     def spin_while(self, condition: Callable[[], bool], seconds: float) -> None:
-        """Spin while a condition holds, `seconds` at most."""
+        """Process messages while a condition holds, for at most `seconds`."""
         end = time.monotonic() + seconds
         while condition() and time.monotonic() < end:
             self._executor.spin_once(timeout_sec=_SPIN)
 
     def spin_until(self, condition: Callable[[], object], what: str) -> None:
-        """Spin until a condition holds.
+        """Process messages until a condition holds.
+
+        Args:
+            condition: Callable that returns a true value to end the wait.
+            what: Description of the condition, for the error.
 
         Raises:
-            HangError: it does not in time.
+            HangError: If the condition does not hold in time.
         """
         deadline = time.monotonic() + TIMEOUT
         while not condition():
             if time.monotonic() > deadline:
-                raise HangError(f"waited {TIMEOUT:g} s in vain for {what}")
+                raise HangError(f"{what} did not come within {TIMEOUT:g} s")
             self._executor.spin_once(timeout_sec=_SPIN)
 
     def wait_for_all(self) -> None:
-        """Wait until tuner, machine and recorder are there.
+        """Wait until tuner, machine and recorder are ready.
 
         Raises:
-            HangError: they do not come in time.
+            HangError: If they are not ready in time.
         """
         for client, what in ((self._tune, "the tuner"), (self._apply, "the machine")):
             self.spin_until(client.server_is_ready, what)
@@ -118,10 +127,10 @@ class Client:
         self.spin_until(lambda: "/evaluation" in self._recorded, "the recorder")
 
     def _meet_tuner(self) -> None:
-        """Ask for the end of nobody's goal until that is answered: what is sent before gets lost.
+        """Cancel an unknown goal until the tuner answers, because earlier requests may be lost.
 
         Raises:
-            HangError: the tuner does not answer.
+            HangError: If the tuner does not answer.
         """
         request = CancelGoal.Request()
         request.goal_info.goal_id.uuid = list(uuid.uuid4().bytes)
@@ -137,8 +146,11 @@ class Client:
     def begin(self, goal: Tune.Goal) -> None:
         """Begin a run.
 
+        Args:
+            goal: Goal of the tuner's action.
+
         Raises:
-            HangError: the tuner does not answer.
+            HangError: If the tuner does not answer.
         """
         sent = self._tune.send_goal_async(goal)
         self.spin_until(sent.done, "the answer to a goal")
@@ -150,41 +162,44 @@ class Client:
         return self._result is not None and self._result.done()
 
     def result(self) -> Tune.Result:
-        """What came of the run.
+        """Wait for the result of the run.
 
         Raises:
-            HangError: nothing in time.
+            HangError: If the result does not come in time.
         """
         self.spin_until(lambda: self.done, "the end of a run")
         return self._result.result().result
 
     def where(self) -> dict[str, float]:
-        """Where the machine is: told to go nowhere, it refuses, and says where it is.
+        """Return the machine's readbacks, from its answer to a move without a set-point.
 
         Raises:
-            HangError: it does not answer.
+            HangError: If the machine does not answer.
         """
         deadline = time.monotonic() + TIMEOUT
-        while True:  # what is sent right after discovery may be lost
+        while True:  # a request right after discovery may be lost
             sent = self._apply.send_goal_async(ApplySetpoint.Goal())
             self.spin_while(lambda s=sent: not s.done(), 2.0)  # type: ignore[misc]
             if sent.done():
                 break
             if time.monotonic() > deadline:
-                raise HangError("the machine does not say where it is")
+                raise HangError("the machine does not answer")
         got = sent.result().get_result_async()
-        self.spin_until(got.done, "where the machine is")
+        self.spin_until(got.done, "the machine's readbacks")
         return {item.name: item.value for item in got.result().result.readbacks}
 
     def watch_until(
         self, condition: Callable[[Mapping[str, float]], bool], after: float, seconds: float
     ) -> dict[str, float]:
-        """Watch the machine until it rests where it should, or `seconds` have passed.
+        """Wait until the machine rests at a position that meets a condition.
 
         Args:
-            condition: whether it is where it should be.
-            after: earliest time [s of `time.monotonic`] at which it counts.
-            seconds: after which this returns anyway.
+            condition: Callable that returns whether a position is as expected.
+            after: Earliest time at which the position counts, by `time.monotonic` [s].
+            seconds: Time after `after` at which the wait ends in any case [s].
+
+        Returns:
+            The last position.
         """
         deadline = after + seconds
         before: dict[str, float] = {}
@@ -205,11 +220,11 @@ class Client:
 
 
 class Scene:
-    """The processes of one domain.
+    """The processes of one ROS domain.
 
     Args:
-        folder: for runs, bags and logs.
-        bridged: whether the machine is behind the bridge.
+        folder: Folder for runs, bags and logs.
+        bridged: Whether the machine is behind the bridge.
     """
 
     def __init__(self, folder: Path, *, bridged: bool) -> None:
@@ -220,7 +235,7 @@ class Scene:
         self._domain = RosDomain()
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._bags = 0
-        self.recorded: list[str] = []  # ids of the runs that began since the recorder did
+        self.recorded: list[str] = []  # IDs of the runs that began after the recorder
         self.on_client_lost = "hold"
         self.client = Client(self._domain.id)
 
@@ -240,16 +255,21 @@ class Scene:
 
     @property
     def bag(self) -> Path:
-        """The bag that is written now, or was last."""
+        """The current or latest bag."""
         return self.folder / f"bag-{self._bags}"
 
     @property
     def bag_is_old(self) -> bool:
-        """Whether the recorder has recorded enough for one bag."""
+        """Whether the current bag has enough runs."""
         return self._alive("recorder") and len(self.recorded) >= RUNS_PER_BAG
 
     def start_missing(self, on_client_lost: str, speed: float) -> None:
-        """Start what does not run; a tuner or a machine that does is left as it is."""
+        """Start all processes that are not running.
+
+        Args:
+            on_client_lost: Policy of the machine, for a tuner that is started.
+            speed: Simulated seconds per second, for a machine that is started.
+        """
         if self.machine == "bridge" and not self._alive("foreign"):
             self._start("foreign", [str(ROOT / "examples" / "foreign_machine.py")])
         if not self._alive(self.machine):
@@ -278,7 +298,7 @@ class Scene:
         """Start the machine, or the bridge to it.
 
         Args:
-            speed: simulated seconds per second.
+            speed: Simulated seconds per second.
         """
         if self.machine == "bridge":
             mapping = str(ROOT / "config" / "bridge_foreign.yaml")
@@ -288,26 +308,32 @@ class Scene:
             self._start_node("machine", "awa_sim_node.node", values)
 
     def begin(self, goal: Tune.Goal) -> None:
-        """Begin a run, which the recorder hears from its beginning.
+        """Begin a run, which the current bag records completely.
+
+        Args:
+            goal: Goal of the tuner's action.
 
         Raises:
-            HangError: the tuner does not answer.
+            HangError: If the tuner does not answer.
         """
         self.recorded.append(goal.run_id)
         self.client.begin(goal)
 
     def kill(self, name: str) -> None:
-        """Kill a process, at once."""
+        """Kill a process."""
         process = self._processes.pop(name)
         with contextlib.suppress(ProcessLookupError):
             process.send_signal(signal.SIGKILL)
         process.wait(10.0)
 
     def stop(self, name: str) -> int:
-        """Ask a process to stop; its exit status.
+        """Stop a process and return its exit status.
+
+        Args:
+            name: Name of the process.
 
         Raises:
-            HangError: it does not stop.
+            HangError: If the process does not stop in time.
         """
         process = self._processes.pop(name)
         process.send_signal(signal.SIGTERM)
@@ -318,11 +344,11 @@ class Scene:
             raise HangError(f"the {name} did not stop") from None
 
     def dead(self) -> list[str]:
-        """Processes that have ended of themselves."""
+        """Return the names of processes that ended without being stopped."""
         return [name for name, process in self._processes.items() if process.poll() is not None]
 
     def tracebacks(self) -> list[str]:
-        """Logs that hold one."""
+        """Return the names of the logs that contain a traceback."""
         return [
             path.stem for path in self.folder.glob("*.log") if b"Traceback" in path.read_bytes()
         ]

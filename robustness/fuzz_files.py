@@ -1,8 +1,8 @@
-"""Feed what reads files with files that are not as they should be: each must be refused in one sentence, or taken.
+"""Fuzz all file readers with corrupted input; each must accept it or reject it with a one-line error.
 
-Configurations, mapping files of the bridge, journals, states and bags of runs, and the files that `mobo.py list` and
-`show` read are altered in their bytes or in what they say, drawn from a seed. Prints how many of each kind were read,
-and everything else that happened: another exception, a message of several lines, or more than 20 s.
+Configurations, mapping files of the bridge, journals, states and bags of runs, and the files read by `mobo.py list` and
+`show` are altered at random in their bytes or their values. Prints the number of files of each kind, and every other
+result: a different exception, a message with several lines, or more than 20 s.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from mobo_tuner.runs.journal import FILE_NAME, read_journal
 from mobo_tuner.runs.rebuild import records_of_bag, runs_of_bag
 from mobo_tuner.runs.recorded_run import RecordedRun
 from mobo_tuner.runs.replay import restore
-from mobo_tuner.runs.report.command import summarize
+from mobo_tuner.runs.report.summary import summarize
 from mobo_tuner.runs.resume_config import resume_config
 from mobo_tuner.runs.saved_state import FILE_NAME as STATE_NAME
 from mobo_tuner.runs.saved_state import SavedState, checksum
-from robustness.bagged_run import write_bag
 from robustness.lived_run import LivedRun, toy, toy_optimizer
+from robustness.synthetic_bag import write_bag
 
 ROOT = Path(__file__).resolve().parents[1]
 REFUSALS = (UserError, RunFolderError)
 TIME_LIMIT = 20  # [s] for one file
-LONGEST = 2000  # characters of a sentence
+LONGEST = 2000  # characters of an error message
 SHARES = {
     "configuration": 0.35,
     "mapping": 0.15,
@@ -65,24 +65,24 @@ _SNIPPETS = (
     *(b"!!binary x", b"!!timestamp 2001-99-99", b"1e999", b"0x", b"1_000", b"\xf0\x9f\x98\x80"),
     *(b"=", b"!!set {a, b}", b"~", b"%YAML 9.9\n", b"[" * 2000, b"{a: " * 500, b"2001-02-30"),
 )
-# A list of ten lists, each of ten, and so on: what writes it out never ends.
+# A list of ten lists of ten lists, and so on: expanding it would never end.
 _BOMB = "[x]"
 for _level in range(20):
     _BOMB = f"[&a{_level} {_BOMB}, {', '.join([f'*a{_level}'] * 9)}]"
 
 
 class SlowError(Exception):
-    """A file took too long."""
+    """A file that took too long."""
 
 
 @dataclass
 class Report:
-    """What came of it.
+    """Results of the fuzzing.
 
     Attributes:
-        read: how many of each kind were read.
-        refused: how many of them were refused.
-        wrong: what happened otherwise.
+        read: Number of files of each kind.
+        refused: Number of refused files of each kind.
+        wrong: Descriptions of all other results.
     """
 
     read: Counter[str] = field(default_factory=Counter)
@@ -91,11 +91,11 @@ class Report:
 
 
 class Fuzzer:
-    """Alters files and has them read.
+    """A fuzzer of the file readers.
 
     Args:
-        scratch: a folder of its own.
-        seed: of every choice.
+        scratch: Empty folder for the files.
+        seed: Seed of the random changes.
     """
 
     def __init__(self, scratch: Path, seed: int) -> None:
@@ -122,7 +122,7 @@ class Fuzzer:
         self._summary = summarize(recorded)
 
     def run(self, count: int) -> Report:
-        """Have `count` files read."""
+        """Test `count` corrupted files."""
         readers: dict[str, Callable[[], None]] = {
             "configuration": self._configuration,
             "mapping": self._mapping,
@@ -142,8 +142,8 @@ class Fuzzer:
                 self.report.refused[kind] += 1
                 text = str(error)
                 if not text or "\n" in text or len(text) > LONGEST:
-                    self.report.wrong.append(f"{kind}: it was said in {text[:300]!r}")
-            except Exception:  # what this program looks for
+                    self.report.wrong.append(f"{kind}: not a one-line error: {text[:300]!r}")
+            except Exception:  # a bug of the reader
                 self.report.wrong.append(f"{kind}: {traceback.format_exc()}")
             finally:
                 signal.alarm(0)
@@ -189,7 +189,7 @@ class Fuzzer:
         text, _ = self._state.strip().split(b"\n")
         if self._rng.random() < 0.3:
             content = self._altered_bytes(self._state)
-        else:  # whole, but not as this program writes it
+        else:  # a valid checksum over invalid content
             text = json.dumps(self._altered(json.loads(text)), default=repr).encode()
             content = text + b"\n" + checksum(text) + b"\n"
         (folder / STATE_NAME).write_bytes(content)
@@ -214,7 +214,7 @@ class Fuzzer:
         run.row()
         run.description()
 
-    # ------------------------------------------------------------------ what is altered
+    # ------------------------------------------------------------------ the changes
 
     def _altered_yaml(self, path: Path) -> Path:
         altered = self._scratch / "altered.yaml"
@@ -236,7 +236,7 @@ class Fuzzer:
         return altered
 
     def _altered_bytes(self, content: bytes) -> bytes:
-        """Some bytes changed, cut out, repeated or put in."""
+        """Return the content with some bytes changed, removed, repeated or inserted."""
         data = bytearray(content)
         for _ in range(int(self._rng.integers(1, 5))):
             place = int(self._rng.integers(len(data) + 1))
@@ -255,7 +255,7 @@ class Fuzzer:
         return bytes(data)
 
     def _altered(self, structure: Any) -> Any:
-        """One value somewhere in a structure exchanged, dropped, doubled or renamed."""
+        """Return the structure with one value replaced, removed, duplicated or renamed."""
         place = self._place(structure)
         if place is None:
             return _VALUES[int(self._rng.integers(len(_VALUES)))]
@@ -272,7 +272,7 @@ class Fuzzer:
         return structure
 
     def _place(self, structure: Any) -> tuple[Any, Any] | None:
-        """A random place in a structure: what holds it, and its key or index."""
+        """Return a random place in a structure: its container, and its key or index."""
         parent, key = None, None
         while isinstance(structure, dict | list) and structure:
             keys = list(structure) if isinstance(structure, dict) else range(len(structure))
@@ -288,10 +288,10 @@ def _too_slow(*_: object) -> None:
 
 
 def main() -> int:
-    """Fuzz, and print what came of it."""
+    """Fuzz the readers, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--count", type=int, default=10_000, help="number of files")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the random changes")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         report = Fuzzer(Path(scratch), options.seed).run(options.count)

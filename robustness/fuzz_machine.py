@@ -1,8 +1,7 @@
 """Send the simulated machine random and malformed goals, set-points, parameters and transitions.
 
-Every goal is a good one with one thing made wrong, so that it is known which error must come of it.
-Prints how many of each kind were sent, and every answer that was not the right one; exits with 1
-where there was any.
+Every malformed goal is a valid one with one fault, so that the expected error is known. Prints the
+number of requests of each kind and every wrong answer; exits with 1 if there is one.
 """
 
 from __future__ import annotations
@@ -34,16 +33,16 @@ _VARIABLES = describe("awa").variables
 _DIAGNOSTICS = tuple(diagnostic.name for diagnostic in describe("awa").diagnostics)
 _NAMES = ("", "K3", "k1", "K1 ", "K1/setpoint", "µ\U0001f600", "x" * 5000, "'; --", "\n")
 _SPECIAL = (math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, -0.0, 0.0)
-GOOD = {RESULT.NONE, RESULT.INVALID_MEASUREMENT}  # a nominal machine has its bad moments
+GOOD = {RESULT.NONE, RESULT.INVALID_MEASUREMENT}  # a nominal machine also has faults
 
 
 @dataclass
 class Report:
-    """What came of it.
+    """Results of the fuzzing.
 
     Attributes:
-        sent: how many of each kind.
-        wrong: one sentence for each wrong answer.
+        sent: Number of requests of each kind.
+        wrong: One sentence per wrong answer.
     """
 
     sent: Counter[str] = field(default_factory=Counter)
@@ -51,12 +50,17 @@ class Report:
 
     @property
     def total(self) -> int:
-        """How many were sent."""
+        """Number of all requests."""
         return self.sent.total()
 
 
 class Fuzzer:
-    """Sends what is malformed to one machine, and judges the answers."""
+    """A fuzzer of one machine.
+
+    Args:
+        machine: Machine under test.
+        seed: Seed of the random requests.
+    """
 
     def __init__(self, machine: MachineProcess, seed: int) -> None:
         self._machine = machine
@@ -68,7 +72,7 @@ class Fuzzer:
         self.report = Report()
 
     def run(self, count: int) -> Report:
-        """Send `count` of all kinds, then see that the machine still does what it should."""
+        """Send `count` requests of all kinds, then check that the machine still works."""
         kinds: list[tuple[Callable[[], None], float]] = [
             (self._malformed_evaluation, 0.5),
             (self._good_evaluation, 0.1),
@@ -105,7 +109,7 @@ class Fuzzer:
         )
 
     def _point(self) -> list[msg.NamedValue]:
-        """A good set-point, in random order."""
+        """Return a valid set-point in random order."""
         named = [
             msg.NamedValue(
                 name=v.name,
@@ -119,7 +123,7 @@ class Fuzzer:
         return named
 
     def _bad_point(self) -> tuple[str, list[msg.NamedValue]]:
-        """A set-point that must be refused, and what is wrong with it."""
+        """Return the kind of fault and a set-point with it."""
         point = self._point()
         item = point[self._rng.integers(len(point))]
         kinds = ("missing", "empty", "repeated", "unknown", "not finite", "outside", "unit", "long")
@@ -153,7 +157,7 @@ class Fuzzer:
         elif kind == "shots":
             goal.shots = int(self._rng.integers(10_001, 65_536))
         elif kind == "old":
-            # Of the run's last finished evaluation or before.
+            # The index of the run's last finished evaluation, or an earlier one.
             self._evaluate("good", goal, GOOD)
             goal = self._goal()
             goal.index = int(self._rng.integers(0, self._index))
@@ -183,7 +187,7 @@ class Fuzzer:
         elif kind == 2:
             limits = [msg.Constraint(name=name, min=1.0, max=-1.0)]
         else:
-            # A limit that no shot keeps, unless the shot was lost.
+            # A limit that every valid shot violates.
             return [msg.Constraint(name=name, min=-2e9, max=-1e9)], {
                 RESULT.VIOLATION,
                 RESULT.INVALID_MEASUREMENT,
@@ -196,11 +200,11 @@ class Fuzzer:
     def _malformed_move(self) -> None:
         kind, point = self._bad_point()
         result = self._machine.result(self._machine.send(ApplySetpoint.Goal(setpoint=point)))
-        # Without a set-point the machine is only asked where it is.
+        # An empty set-point only asks for the readbacks.
         self._judge(f"move: {kind}", result, {RESULT.INVALID_SETPOINT if point else RESULT.NONE})
 
     def _two_at_once(self) -> None:
-        """A long evaluation, and a move that must not disturb it."""
+        """Send a move during a long evaluation."""
         goal = self._goal()
         goal.shots = 10_000
         handle = self._machine.send(goal)
@@ -216,14 +220,14 @@ class Fuzzer:
         self._judge("canceled at once", self._machine.result(handle), GOOD | {RESULT.CANCELED})
 
     def _device(self) -> None:
-        """A set-point topic, sent what it must refuse."""
+        """Publish an invalid value on a set-point topic."""
         name = str(self._rng.choice(list(self._setpoints)))
         values = [math.nan, math.inf, -math.inf, 1e308, -1e308, 1e9]
         self._setpoints[name].publish(Float64(data=float(self._rng.choice(values))))
         self.report.sent["device"] += 1
 
     def _parameter(self) -> None:
-        """A parameter at run time, when all are read-only, and the same value at the start."""
+        """Set a parameter at run time, when all are read-only, and check the same value at start."""
         behaviour = behaviour_of("awa", Mode(str(self._rng.choice(list(Mode)))))
         name = str(self._rng.choice([*behaviour.values, *_NAMES, "speed", "seed", "mode"]))
         value = float(self._rng.choice([*_SPECIAL, -1.0, 1e12]))
@@ -237,7 +241,9 @@ class Fuzzer:
         )
         for answer in self._machine.call("set_parameters", request).results:
             if answer.successful or not answer.reason:
-                self.report.wrong.append(f"parameter {name!r} = {value} was taken, or no reason")
+                self.report.wrong.append(
+                    f"parameter {name!r} = {value} was accepted, or refused without a reason"
+                )
         self.report.sent["parameter"] += 1
         try:
             changed = behaviour.changed({name: value}).values[name]
@@ -247,10 +253,10 @@ class Fuzzer:
         else:
             info = behaviour.infos[name]
             if not info.minimum <= changed <= info.maximum:
-                self.report.wrong.append(f"parameter {name!r} = {value} was taken at the start")
+                self.report.wrong.append(f"parameter {name!r} = {value} was accepted at start")
 
     def _transition(self) -> None:
-        """A transition that an active node does not know."""
+        """Request a transition that an active node does not allow."""
         unknown = (
             Transition.TRANSITION_CONFIGURE,
             Transition.TRANSITION_ACTIVATE,
@@ -264,10 +270,10 @@ class Fuzzer:
 
 
 def main() -> int:
-    """Fuzz, and print what came of it."""
+    """Fuzz the machine, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--count", type=int, default=10_000, help="number of requests")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the random requests")
     options = parser.parse_args()
     with RosDomain() as domain, MachineProcess(domain.environment, PARAMETERS) as machine:
         report = Fuzzer(machine, options.seed).run(options.count)

@@ -1,4 +1,4 @@
-"""The simulated machine as a process in a ROS domain of its own, with a client to it."""
+"""The simulated machine as a process in a separate ROS domain, with a client."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from mobo_msgs_py.srv import DescribeMachine
 from mobo_tuner.ros.qos import STREAM
 
 ROOT = Path(__file__).resolve().parents[1]
-TIMEOUT = 30.0  # [s] for anything that should happen soon
+TIMEOUT = 30.0  # [s] for any wait
 
 
 class LostError(Exception):
-    """Something that should have come did not; the message says what."""
+    """A wait that exceeded its time limit, or a machine that ended; the message says which."""
 
 
 class MachineProcess:
-    """Starts the machine, and ends it when the `with` block is left.
+    """The machine's process and a client of it; the end of the `with` block stops the process.
 
     Args:
-        environment: holds the ROS domain.
-        parameters: of the node.
+        environment: Environment variables with the ROS domain.
+        parameters: Parameters of the node.
     """
 
     def __init__(self, environment: Mapping[str, str], parameters: Mapping[str, Any]) -> None:
@@ -94,24 +94,24 @@ class MachineProcess:
 
     @property
     def alive(self) -> bool:
-        """Whether the process has not ended."""
+        """Whether the process is running."""
         return self._popen.poll() is None
 
     @property
     def log(self) -> str:
-        """What the machine printed so far."""
+        """Output of the machine so far."""
         self._log.seek(0)
         return self._log.read().decode(errors="replace")
 
     @property
     def memory(self) -> float:
-        """What the machine holds in memory [MB]."""
+        """Resident memory of the machine [MB]."""
         pages = int(Path(f"/proc/{self._popen.pid}/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
     @property
     def open_files(self) -> int:
-        """Number of files, sockets and the like that the machine has open."""
+        """Number of open file descriptors of the machine."""
         return len(os.listdir(f"/proc/{self._popen.pid}/fd"))
 
     @property
@@ -121,50 +121,55 @@ class MachineProcess:
 
     @property
     def cpu_seconds(self) -> float:
-        """CPU time that the machine has used [s]."""
+        """CPU time of the machine [s]."""
         fields = Path(f"/proc/{self._popen.pid}/stat").read_text().rsplit(")", 1)[1].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def spin_until(
         self, condition: Callable[[], object], what: str, timeout: float = TIMEOUT
     ) -> None:
-        """Spin until `condition` holds.
+        """Process messages until a condition holds.
+
+        Args:
+            condition: Callable that returns a true value to end the wait.
+            what: Description of the condition, for the error.
+            timeout: Time limit [s].
 
         Raises:
-            LostError: it does not in time, or the machine has ended.
+            LostError: If the condition does not hold in time, or the machine has ended.
         """
         deadline = time.monotonic() + timeout
         while not condition():
             if not self.alive:
                 raise LostError(f"the machine ended while waiting for {what}:\n{self.log}")
             if time.monotonic() > deadline:
-                raise LostError(f"waited {timeout:g} s in vain for {what}")
+                raise LostError(f"{what} did not come within {timeout:g} s")
             self._executor.spin_once(timeout_sec=0.05)
 
     def send(self, goal: Any) -> Any:
-        """Send a goal of either action; the handle, once it is accepted."""
+        """Send a goal of either action, and return the handle of the accepted goal."""
         client = self._apply if isinstance(goal, ApplySetpoint.Goal) else self._evaluate
         sent = client.send_goal_async(goal)
         self.spin_until(sent.done, "the answer to a goal")
         handle = sent.result()
         if not handle.accepted:
-            raise LostError("a goal was rejected without a reason")
+            raise LostError("a goal was not accepted")
         return handle
 
     def result(self, handle: Any) -> Any:
-        """The result of a goal."""
+        """Wait for the result of a goal."""
         future = handle.get_result_async()
         self.spin_until(future.done, "a result")
         return future.result().result
 
     def call(self, name: str, request: Any) -> Any:
-        """The answer of a service: describe_machine, set_parameters or change_state."""
+        """Return the answer of a service: describe_machine, set_parameters or change_state."""
         future = self._services[name].call_async(request)
         self.spin_until(future.done, f"the answer of {name}")
         return future.result()
 
     def publisher(self, message: type, topic: str) -> Any:
-        """A publisher that the machine has found."""
+        """Return a publisher that the machine has discovered."""
         publisher = self.node.create_publisher(message, topic, STREAM)
-        self.spin_until(lambda: publisher.get_subscription_count() > 0, f"who hears {topic}")
+        self.spin_until(lambda: publisher.get_subscription_count() > 0, f"a subscriber of {topic}")
         return publisher

@@ -1,11 +1,11 @@
-"""Runs that are killed and gone on with, against the same runs without a kill: are they the same to the last bit?
+"""Compare killed and resumed runs with uninterrupted ones, bit for bit.
 
-Each run tunes the toy problem with a constraint, has evaluations that fail, set-points of an operator and changes of
-its problem, and lives in a process of its own that is killed (SIGKILL) at one to three random moments. What remains of
-it in its folder is all that the next process has. At the end every set-point, measurement and hypervolume and the next
-suggestion are compared with those of a run that was never killed.
+Each run tunes the toy problem with a constraint, failed evaluations, set-points from an operator and changes of the
+problem. It runs in a process that is killed (SIGKILL) at one to three random moments; the next process only has the
+run folder. At the end, every set-point, measurement and hypervolume and the next suggestion are compared with those of
+a run that was never killed.
 
-Results are kept in robustness/.cache as they come: what was stopped goes on where it was.
+Results are kept in robustness/.cache: an interrupted campaign continues where it stopped.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _COMPARED = ("index", "source", "setpoint", "diagnostics", "valid", "feasible", 
 
 
 def carry_out(run: LivedRun) -> dict[str, float]:
-    """Go on to the end of a run; what it would ask next."""
+    """Continue a run to its end, and return its next suggestion."""
     while len(run.optimizer.dataset) < LENGTH:
         run.step()
     run.log.close()
@@ -44,19 +44,19 @@ def carry_out(run: LivedRun) -> dict[str, float]:
 
 
 def begin(folder: Path, *, seed: int) -> LivedRun:
-    """A run from its start."""
+    """Return a new run."""
     return LivedRun(folder, toy_optimizer(seed), toy, seed)
 
 
-def go_on(earlier: Path, folder: Path, *, seed: int) -> LivedRun:
-    """A run that goes on with what was kept of an earlier one."""
+def resume(earlier: Path, folder: Path, *, seed: int) -> LivedRun:
+    """Return a run that resumes an earlier one from its folder."""
     history = History.from_records(read_journal(earlier))
     optimizer = restore(history, SavedState.read(earlier))
     return LivedRun(folder, optimizer, toy, seed, earlier=history)
 
 
-def kill_amid(start: Callable[[], LivedRun], seconds: float) -> None:
-    """Carry out a run in a process of its own, and kill that after so many seconds."""
+def kill_during(start: Callable[[], LivedRun], seconds: float) -> None:
+    """Carry out a run in a child process, and kill it after `seconds`."""
     child = os.fork()
     if child == 0:
         try:
@@ -69,13 +69,13 @@ def kill_amid(start: Callable[[], LivedRun], seconds: float) -> None:
 
 
 def kept(folder: Path) -> list[dict[str, Any]]:
-    """What is compared of the evaluations in a journal."""
+    """Return the compared fields of the evaluations in a journal."""
     records = [r for r in read_journal(folder) if r["type"] == "evaluation"]
     return [{key: record[key] for key in _COMPARED} for record in records]
 
 
 def compare(seed: int) -> dict[str, Any]:
-    """Kill one run as its seed says, and compare it with one that was not killed."""
+    """Kill and resume the run of one seed, and compare it with the uninterrupted run."""
     rng = np.random.default_rng([seed, 1])
     with tempfile.TemporaryDirectory() as scratch:
         whole = Path(scratch, "whole")
@@ -87,12 +87,12 @@ def compare(seed: int) -> dict[str, Any]:
         for number in range(int(rng.integers(1, 4))):
             folder = Path(scratch, f"run-{number}")
             rest = 1.0 - told[-1] / LENGTH
-            kill_amid(partial(start, folder), duration * rest * rng.random())
+            kill_during(partial(start, folder), duration * rest * rng.random())
             journal = folder / FILE_NAME
             if (
                 journal.exists() and b"\n" in journal.read_bytes()
-            ):  # else it was killed before it began
-                start = partial(go_on, folder, seed=seed)
+            ):  # otherwise the run was killed before it began
+                start = partial(resume, folder, seed=seed)
                 told.append(len(kept(folder)))
         last = Path(scratch, "last")
         asked_now = carry_out(start(last))
@@ -101,10 +101,10 @@ def compare(seed: int) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Compare the runs that are missing, and print what came of all."""
+    """Carry out the missing comparisons, and print the results of all."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=100, metavar="N")
-    parser.add_argument("--seed", type=int, default=0, metavar="S", help="of the first run")
+    parser.add_argument("--runs", type=int, default=100, metavar="N", help="number of runs")
+    parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the first run")
     options = parser.parse_args()
     path = cached("resumed-runs.jsonl")
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []

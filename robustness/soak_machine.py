@@ -1,7 +1,7 @@
-"""Evaluate thousands of set-points on the simulated machine, and look for what leaks or gets lost.
+"""Evaluate thousands of set-points on the simulated machine, and check for leaks and lost answers.
 
-Prints the machine's memory, open files and threads after a warm-up and at the end, and exits with 1
-where the memory grew by more than 5 % or an answer was lost or of another evaluation.
+Prints the machine's memory, open files and threads after a warm-up and at the end. Exits with 1 if
+the memory grew by more than 5 %, or an answer was lost or belongs to another evaluation.
 """
 
 from __future__ import annotations
@@ -22,20 +22,25 @@ from mobo_tuner.ros.qos import STREAM
 from robustness.machine_process import MachineProcess
 
 PARAMETERS = {"model": "awa", "mode": "nominal", "speed": 1e5, "seed": 1}
-GROWTH = 0.05  # of the memory that is allowed
+GROWTH = 0.05  # allowed growth of the memory, as a fraction
 RESULT = EvaluateSetpoint.Result
 
 
 class Soak:
-    """Evaluates random set-points and keeps count."""
+    """Random evaluations and their counts.
+
+    Args:
+        machine: Machine under test.
+        seed: Seed of the set-points.
+    """
 
     def __init__(self, machine: MachineProcess, seed: int) -> None:
         self._machine = machine
         self._rng = np.random.default_rng(seed)
         self._variables = describe("awa").variables
         self.shots = 0
-        self.measured = 0  # as the machine counts
-        self.beam = 0  # messages of one diagnostic
+        self.measured = 0  # the machine's own count
+        self.beam = 0  # messages on the topic of one diagnostic
         self.failures = 0
         self.wrong = 0
         machine.node.create_subscription(Float64, "beam/charge", self._hear_beam, STREAM)
@@ -57,7 +62,7 @@ class Soak:
         self.wrong += result.error_code not in (RESULT.NONE, RESULT.INVALID_MEASUREMENT)
 
     def settle(self, measured: int) -> None:
-        """Wait until the machine's own count has arrived."""
+        """Wait until the machine's own count is at least `measured`."""
         self._machine.spin_until(lambda: self.measured >= measured, "the machine's own count")
 
     def _hear_beam(self, _: Float64) -> None:
@@ -69,11 +74,15 @@ class Soak:
 
 
 def main() -> int:
-    """Soak, and print what came of it."""
+    """Run the soak test, and print its results."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--evaluations", type=int, default=5000)
-    parser.add_argument("--warm-up", type=int, default=500)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--evaluations", type=int, default=5000, help="number of evaluations after the warm-up"
+    )
+    parser.add_argument(
+        "--warm-up", type=int, default=500, help="number of evaluations in the warm-up"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the set-points")
     options = parser.parse_args()
     with RosDomain() as domain, MachineProcess(domain.environment, PARAMETERS) as machine:
         soak = Soak(machine, options.seed)
@@ -109,9 +118,9 @@ def main() -> int:
         f"{soak.failures} of them failed, {soak.wrong} answers wrong, {tracebacks} tracebacks"
     )
     print(
-        f"{soak.shots} shots in the results, {soak.beam} of at least as many heard on beam/charge"
+        f"{soak.shots} shots in the results, {soak.beam} messages on beam/charge (at least as many)"
     )
-    print(f"{1000.0 * cpu:.1f} ms of the machine's CPU time for an evaluation")
+    print(f"{1000.0 * cpu:.1f} ms of the machine's CPU time per evaluation")
     good = (
         growth <= GROWTH
         and soak.measured == total

@@ -1,9 +1,9 @@
-"""A run over two hosts, made of network namespaces on this one, whose link is cut and restored in mid-run.
+"""A run over two hosts, simulated by network namespaces, whose link is cut and restored during the run.
 
-The machine is on one host; tuner, recorder and console are on the other. They share nothing but a link. A second
-recorder beside the machine keeps its readbacks. Needs root and `ip` (Debian: iproute2). Prints whether the run came to
-its end, how often evaluations were tried, that no evaluation is missing from the journal, and how far the machine moved
-once it knew that the tuner was lost; exits with 1 where anything is wrong, and with 77 where namespaces cannot be made.
+The machine is on one host; tuner, recorder and console are on the other. Only the link connects them. A second recorder
+on the machine's host records its readbacks. Needs root and `ip` (Debian: iproute2). Prints whether the run ended, the
+number of attempts of each evaluation, whether the journal is complete, and how far the machine moved after it had
+detected the loss of the tuner. Exits with 1 after a fault, and with 77 if namespaces cannot be created.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from mobo_tuner.runs.mcap_records import read_messages
 
 ROOT = Path(__file__).resolve().parents[1]
 TIMEOUT = 120.0  # [s] for the run
-CLIENT_TIMEOUT = 2.0  # [s] after which the machine takes the tuner for lost, and holds
-REACTION = 1.0  # [s] that it may take to do so
+CLIENT_TIMEOUT = 2.0  # [s] after which the machine considers the tuner lost, and holds
+REACTION = 1.0  # [s] allowed for its reaction
 HOSTS = ("mobo-a", "mobo-b")
 ENVIRONMENT = {
     "ROS_DOMAIN_ID": "77",
@@ -35,15 +35,16 @@ ENVIRONMENT = {
 
 
 def ip(*words: str) -> None:
-    """Run `ip`."""
+    """Run the command `ip`."""
     subprocess.run(["ip", *words], check=True, capture_output=True, text=True)
 
 
 def make_hosts() -> None:
-    """Two namespaces and a link between them.
+    """Create two namespaces and a link between them.
 
     Raises:
-        OSError, subprocess.CalledProcessError: they cannot be made.
+        OSError: If `ip` cannot be run.
+        subprocess.CalledProcessError: If `ip` fails.
     """
     for host in HOSTS:
         ip("netns", "add", host)
@@ -58,7 +59,7 @@ def make_hosts() -> None:
 
 
 def remove_hosts() -> None:
-    """Take the namespaces away, as far as they are there."""
+    """Remove the namespaces that exist."""
     for host in HOSTS:
         subprocess.run(["ip", "netns", "delete", host], check=False, capture_output=True)
 
@@ -66,7 +67,15 @@ def remove_hosts() -> None:
 def start(
     host: str, module: str, folder: Path, *given: str, namespace: str = "/"
 ) -> subprocess.Popen[bytes]:
-    """Start a node on a host."""
+    """Start a node on a host.
+
+    Args:
+        host: Name of the network namespace.
+        module: Module of the node.
+        folder: Folder of the log.
+        given: Parameters as `name:=value`.
+        namespace: ROS namespace of the node.
+    """
     values = [word for value in given for word in ("-p", value)]
     values += ["-r", f"__ns:={namespace}"]
     config = ("--params-file", str(ROOT / "config" / "toy.yaml"))
@@ -82,13 +91,13 @@ def start(
 
 
 def evaluations(journal: Path) -> list[dict]:
-    """The evaluations in a journal so far."""
+    """Return the evaluations in a journal so far."""
     lines = journal.read_bytes().split(b"\n")[:-1] if journal.exists() else []
     return [r for r in map(json.loads, lines) if r["type"] == "evaluation"]
 
 
 def readbacks(bag: Path, since: float, until: float) -> dict[str, list[float]]:
-    """Where each variable was between two times [s since the epoch], as its plain topic told."""
+    """Return the readbacks on each plain topic between two times [s since the epoch]."""
     store = get_typestore(Stores.ROS2_JAZZY)
     found: dict[str, list[float]] = {}
     for file in sorted(bag.glob("*.mcap")):
@@ -100,7 +109,13 @@ def readbacks(bag: Path, since: float, until: float) -> dict[str, list[float]]:
 
 
 def carry_out(folder: Path, budget: int, cut: float) -> bool:
-    """Make the run; whether all is well."""
+    """Carry out the run, and return whether there was no fault.
+
+    Args:
+        folder: Folder for runs, bags and logs.
+        budget: Number of evaluations.
+        cut: Time for which the link is cut [s].
+    """
     journal = folder / "runs" / "run" / "journal.jsonl"
     here, there = HOSTS
     nodes = [
@@ -135,13 +150,13 @@ def carry_out(folder: Path, budget: int, cut: float) -> bool:
         since = time.time() + CLIENT_TIMEOUT + REACTION
         time.sleep(cut)
         until = time.time()
-        amid = evaluations(journal)
+        during = evaluations(journal)
         ip("-n", here, "link", "set", "veth0", "up")
-        # The kernel forgets routes over a link that is down.
+        # The kernel removes routes over a link that is down.
         ip("-n", here, "route", "replace", "224.0.0.0/4", "dev", "veth0")
         status = console.wait(max(1.0, deadline - time.monotonic()))
     except subprocess.TimeoutExpired:
-        print(f"the run was not at its end after {TIMEOUT:g} s")
+        print(f"the run did not end within {TIMEOUT:g} s")
         return False
     finally:
         for node in nodes:
@@ -153,33 +168,31 @@ def carry_out(folder: Path, budget: int, cut: float) -> bool:
                 node.kill()
     told = evaluations(journal)
     print(
-        f"cut for {cut:g} s after evaluation {len(before)}, {len(amid) - len(before)} finished amid; "
-        f"{len(told)} of {budget} in the end, tried {[record['attempts'] for record in told]} times; "
-        f"the console ended with {status}"
+        f"cut for {cut:g} s after evaluation {len(before)}, {len(during) - len(before)} finished during "
+        f"the cut; {len(told)} of {budget} at the end, attempts {[r['attempts'] for r in told]}; "
+        f"exit status of the console {status}"
     )
     rests = readbacks(folder / "there", since, until)
     moved = {topic: max(values) - min(values) for topic, values in rests.items()}
     counts = [len(values) for values in rests.values()]
-    print(
-        f"from {until - since:.1f} s before the link was restored on, {counts} readbacks moved by {moved}"
-    )
+    print(f"in the last {until - since:.1f} s of the cut, {counts} readbacks moved by {moved}")
     still = bool(moved) and min(counts) >= 5 and not any(moved.values())
     whole = [record["index"] for record in told] == list(range(budget))
-    return status == 0 and whole and told[: len(amid)] == amid and still
+    return status == 0 and whole and told[: len(during)] == during and still
 
 
 def main() -> int:
-    """Make the hosts, the run and the cut."""
+    """Create the hosts, and carry out the run."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--evaluations", type=int, default=12)
-    parser.add_argument("--cut", type=float, default=6.0, help="[s] for which the link is cut")
+    parser.add_argument("--evaluations", type=int, default=12, help="number of evaluations")
+    parser.add_argument("--cut", type=float, default=6.0, help="time for which the link is cut [s]")
     options = parser.parse_args()
     remove_hosts()
     try:
         make_hosts()
     except (OSError, subprocess.CalledProcessError) as error:
         remove_hosts()
-        print(f"network namespaces cannot be made here: {getattr(error, 'stderr', error)}")
+        print(f"network namespaces cannot be created: {getattr(error, 'stderr', error)}")
         return 77
     try:
         with tempfile.TemporaryDirectory() as folder:

@@ -10,8 +10,8 @@ import pytest
 
 from mobo_tuner.runs.journal import Record, read_journal
 from mobo_tuner.runs.rebuild import BagError, main, records_of_bag, runs_of_bag
-from robustness.bagged_run import write_bag
 from robustness.lived_run import LivedRun, toy, toy_optimizer
+from robustness.synthetic_bag import write_bag
 
 # The parser that ROS's type support imports does so.
 pytestmark = pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")

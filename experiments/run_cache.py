@@ -1,8 +1,8 @@
-"""Runs of the optimiser that take long: kept in experiments/.cache as they go, and gone on with by the next call.
+"""Long runs of the optimiser: saved in experiments/.cache during the run, and continued by the next call.
 
-A saved run belongs to its benchmark, its settings, its seed, and the sources of the core and the surrogate, by a digest
-of them all: after a change of any, another run starts. As the optimiser goes on bitwise from its saved state, a run in
-pieces ends where a run in one go does.
+The key of a run is a digest of its benchmark, settings, seed, and the sources of the core and the surrogate: after a
+change of any of them, a new run starts. Because the optimiser continues bit for bit from its saved state, an
+interrupted run gives the same result as an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SAVED_EVERY = 20.0  # seconds
 _CORE = Path(optimizer.__file__).parent
 
 
-def saved_run(
+def cached_run(
     name: str,
     benchmark: Benchmark,
     evaluations: int,
@@ -34,15 +34,15 @@ def saved_run(
     enough: float = math.inf,
     **settings: Any,
 ) -> Run:
-    """As `problems.run`, from where the last call with these arguments was stopped.
+    """Do the same as `problems.run`, continuing the saved run of an earlier call with these arguments.
 
     Args:
-        name: of the benchmark, for the file.
-        benchmark: problem and machine.
-        evaluations: at most.
-        seed: of the optimiser.
-        enough: hypervolume at which the run ends.
-        settings: of the optimiser.
+        name: Name of the benchmark, for the file.
+        benchmark: Problem and machine.
+        evaluations: Highest number of evaluations.
+        seed: Seed of the optimiser.
+        enough: Hypervolume at which the run ends.
+        settings: Settings of the optimiser.
     """
     belongs = [name, seed, settings, core_digest(), surrogate_digest()]
     digest = hashlib.sha256(json.dumps(belongs, sort_keys=True).encode()).hexdigest()[:12]
@@ -86,7 +86,7 @@ def saved_run(
 
 @cache
 def core_digest() -> str:
-    """Eight hexadecimal digits that change with the sources of the core."""
+    """Return eight hexadecimal digits that identify the sources of the core."""
     digest = hashlib.sha256()
     for path in sorted(_CORE.glob("*.py")):
         digest.update(path.read_bytes())

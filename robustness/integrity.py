@@ -1,4 +1,4 @@
-"""Whether what is kept of a run is whole: its journal, and its bag by two independent readers."""
+"""Integrity checks of a run: its journal, and its bag with two independent readers."""
 
 from __future__ import annotations
 
@@ -17,42 +17,43 @@ from mobo_tuner.runs.replay import compare
 
 
 def evaluations(records: Iterable[Record]) -> list[Record]:
-    """The evaluations among the records of a journal."""
+    """Return the evaluations among the records of a journal."""
     return [record for record in records if record["type"] == "evaluation"]
 
 
 def has_journal(folder: Path) -> bool:
-    """Whether a run was kept at all."""
+    """Return whether a run has a journal."""
     return (folder / "journal.jsonl").exists()
 
 
 def differing_suggestions(records: list[Record]) -> list[int]:
-    """Evaluations whose set-points are not what an uninterrupted run would have asked for."""
+    """Return the evaluations whose set-points differ from those of an uninterrupted run."""
     return [c.index for c in compare(History.from_records(records)) if c.differs]
 
 
 def bag_faults(
     bag: Path, runs_dir: Path, recorded: Collection[str], whole: Collection[str] = ()
 ) -> list[str]:
-    """What is wrong with a bag, one sentence each; nothing where all is well.
+    """Return the faults of a bag, one sentence each.
 
     Args:
-        bag: its folder.
-        runs_dir: of the runs that it recorded, with their journals.
-        recorded: ids of the runs that began since the bag did. Of those before, which the tuner
-            tells late subscribers of, it may hold evaluations without their problem.
-        whole: ids of the runs of which nothing may be missing.
+        bag: Folder of the bag.
+        runs_dir: Folder of the recorded runs, with their journals.
+        recorded: IDs of the runs that began after the recorder. The bag may also contain
+            evaluations of earlier runs, without their problem, because the tuner sends them to late
+            subscribers.
+        whole: IDs of the runs that must be complete.
     """
     faults = []
     try:
         mcap, rosbags = _count_by_mcap(bag), _count_by_rosbags(bag)
-    except Exception as error:  # whatever a reader stumbles over
+    except Exception as error:  # a reader may raise any exception
         return [f"the bag {bag.name} cannot be read: {error!r}"]
     if mcap != rosbags:
-        faults.append(f"of {bag.name} mcap reads {mcap} messages and rosbags {rosbags}")
+        faults.append(f"mcap reads {mcap} messages of {bag.name}, rosbags {rosbags}")
     for run_id, run in runs_of_bag(bag).items():
         if not run.outline and not (run.evaluations and run_id in recorded):
-            continue  # it was heard of, no more
+            continue  # an earlier run, without its problem
         folder = runs_dir / run_id
         try:
             journal = evaluations(read_journal(folder))
@@ -61,10 +62,12 @@ def bag_faults(
             faults.append(f"run {run_id} of {bag.name}: {error}")
             continue
         if rebuilt != journal[: len(rebuilt)]:
-            faults.append(f"run {run_id} of {bag.name} is not what its journal says")
-        # A tuner that was killed may have had no time to publish the last one.
+            faults.append(f"run {run_id} of {bag.name} differs from its journal")
+        # A killed tuner may not have published the last evaluation.
         if run_id in whole and len(rebuilt) < len(journal) - 1:
-            faults.append(f"{bag.name} has {len(rebuilt)} of run {run_id}'s {len(journal)}")
+            faults.append(
+                f"{bag.name} has {len(rebuilt)} of {len(journal)} evaluations of run {run_id}"
+            )
     return faults
 
 

@@ -1,4 +1,4 @@
-"""A bag with what the tuner publishes of a run, made from the run's journal without any node."""
+"""A bag with the messages that the tuner publishes during a run, made from its journal without any node."""
 
 from __future__ import annotations
 
@@ -21,7 +21,12 @@ START = 1_700_000_000_000_000_000  # [ns]
 
 
 def write_bag(bag: Path, *runs: Sequence[Record]) -> None:
-    """Write the bag of one or several runs, one after another; its folder must not exist."""
+    """Write the bag of one or more consecutive runs.
+
+    Args:
+        bag: Folder of the bag, which must not exist.
+        runs: Journal records of each run.
+    """
     writer = BagWriter(bag)
     writer.open()
     connections = {}
@@ -44,7 +49,7 @@ def write_bag(bag: Path, *runs: Sequence[Record]) -> None:
 
 
 def _messages(records: Sequence[Record]) -> list[tuple[str, Any]]:
-    """What is published of a run, in its order, with the topic of each message."""
+    """Return the messages of a run in order, each with its topic."""
     history = History.from_records(records)
     evaluations = iter(earlier_evaluations(history, history.run_id))
     outline = ""
