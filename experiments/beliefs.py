@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from experiments.problems import Benchmark, awa, cached, dtlz2, toy
-from experiments.saved_runs import core_digest
+from experiments.run_cache import core_digest
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.core.pareto import FloatArray, is_nondominated
 
