@@ -126,6 +126,7 @@ def parameters() -> str:
         "| `objectives.<name>.reference` * | number, needed | component of the reference point |",
         "| `objectives.<name>.direction` | minimize or maximize | what is wanted; minimize unless said |",
         "| `objectives.<name>.truncation` * | two numbers [A, B] | side of the truncation box; holds the reference |",
+        "| `objectives.<name>.invalid` | numbers, [] | readings that stand for none; of other diagnostics, too |",
         "| `objectives.<name>.unit` | text | must agree with the machine's |",
         "| `constraints.<name>.min`, `.max` * | numbers, one needed | limits of a diagnostic |",
         "| `constraints.<name>.critical` * | true or false, false | one shot beyond it ends the evaluation |",

@@ -102,7 +102,7 @@ def test_what_was_never_told_cannot_be_withdrawn(
 @pytest.mark.parametrize("value", ["high", (1.0, 2.0, 3.0), object(), ("a", 1.0)])
 def test_an_output_that_is_no_number_is_refused(value: object) -> None:
     data = Dataset(PROBLEM)
-    with pytest.raises(ProblemError, match="output 'f' must be a number or a pair"):
+    with pytest.raises(ProblemError, match="output 'f' must be a number"):
         data.add(MIDDLE, {"f": value})  # type: ignore[dict-item]
     assert len(data) == 0
 

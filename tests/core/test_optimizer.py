@@ -380,7 +380,7 @@ def test_the_largest_box_is_that_of_a_point_in_the_middle() -> None:
     [
         ({}, "index or weights must be given"),
         ({"index": 999}, "index is 999; the front has"),
-        ({"weights": {"f1": 1.0}}, "weights name f1; one for each of f1, f2"),
+        ({"weights": {"f1": 1.0}}, "weights are .*; one for each of f1, f2"),
         ({"weights": {"f1": -1.0, "f2": 1.0}}, "numbers of at least 0"),
         ({"weights": {"f1": 1.0, "f2": 1.0}, "radius": 0.0}, "radius is 0.0"),
     ],

@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mobo_tuner.core.problem import Problem, ProblemError
+from mobo_tuner.errors import FileError
 from mobo_tuner.files import load_yaml
 
 MAPPING: dict[str, Any] = {
@@ -138,7 +139,7 @@ def test_a_bad_file_is_refused_in_one_sentence(tmp_path: Path, text: str, senten
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ProblemError, match="absent\\.yaml' cannot be read: No such file"):
+    with pytest.raises(FileError, match="absent\\.yaml' cannot be read: No such file"):
         load_yaml(tmp_path / "absent.yaml")
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00\xd8")
     with pytest.raises(ProblemError, match="not UTF-8"):

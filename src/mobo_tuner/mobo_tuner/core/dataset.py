@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mobo_tuner.core.problem import Array, Problem, ProblemError
+from mobo_tuner.core.problem import FARTHEST, LARGEST, Array, Problem, ProblemError, as_float
 
 Measured = float | tuple[float, float]
 """What is told of a diagnostic: its mean, or its mean and standard deviation."""
@@ -89,9 +89,10 @@ class Dataset:
 
         Args:
             setpoint: Every variable, in physical units.
-            outputs: Diagnostics by name; a pair is (mean, standard deviation); NaN, infinite, None
-                or missing means not measured.
-            readbacks: Some variables' readbacks, in physical units; one that is not finite is not known.
+            outputs: Diagnostics by name; a pair is (mean, standard deviation); NaN, infinite, None,
+                missing or a sentinel (`Problem.is_reading`) means not measured.
+            readbacks: Some variables' readbacks, in physical units; one that is not finite, or
+                farther from the bounds than a set-point may be, is not known.
             failed: Whether the machine reported a failure; None lets the outputs decide: the
                 evaluation failed if no objective and no constrained diagnostic was measured.
 
@@ -99,10 +100,10 @@ class Dataset:
             ProblemError: If the set-point is not one of the problem's, a readback is of none of its
                 variables, or an output is not a number.
         """
-        self.problem.normalize(setpoint)
-        known = {name: float(value) for name, value in readbacks.items() if math.isfinite(value)}
-        x = self.problem.normalize({**setpoint, **known})
-        measured = {name: _mean_and_stddev(name, value) for name, value in outputs.items()}
+        x, known = self._location(setpoint, readbacks)
+        if not isinstance(outputs, Mapping):
+            raise ProblemError(f"the outputs must be a mapping of names, not {outputs!r:.60}")
+        measured = {name: self._measured(name, value) for name, value in outputs.items()}
         values = {name: mean for name, (mean, _) in measured.items()}
         if failed is None:
             required = self.problem.required_diagnostics
@@ -183,6 +184,44 @@ class Dataset:
         feasible = complete and self.problem.is_feasible(values)
         return replace(evaluation, complete=complete, feasible=feasible)
 
+    def _location(
+        self, setpoint: Mapping[str, float], readbacks: Mapping[str, float]
+    ) -> tuple[Array, dict[str, float]]:
+        """Where the machine was, normalised, and the readbacks that are known."""
+        x = self.problem.normalize(setpoint)
+        if not isinstance(readbacks, Mapping):
+            raise ProblemError(f"the readbacks must be a mapping of names, not {readbacks!r:.60}")
+        known = {}
+        for name, value in readbacks.items():
+            if name not in self.problem.variable_names:
+                raise ProblemError(
+                    f"the readback '{name}' is unknown; allowed are "
+                    f"{', '.join(self.problem.variable_names)}"
+                )
+            readback = as_float(f"readback {name}", value)
+            j = self.problem.variable_names.index(name)
+            where = self.problem.variables[j].normalize(readback)
+            if abs(where) <= 2.0 * FARTHEST:
+                known[name] = readback
+                x[j] = where
+        return x, known
+
+    def _measured(self, name: str, value: Measured | None) -> tuple[float, float]:
+        """Mean and standard deviation; NaN where not measured or unknown."""
+        if not isinstance(name, str):
+            raise ProblemError(f"the name of an output must be text, not {name!r:.60}")
+        if value is None:
+            return math.nan, math.nan
+        pair = value if isinstance(value, tuple | list) else (value, math.nan)
+        if len(pair) != 2:
+            raise ProblemError(
+                f"output '{name}' must be a number or a pair (mean, standard deviation), not a list "
+                f"of {len(pair)}"
+            )
+        mean, stddev = (as_float(f"output '{name}'", v) for v in pair)
+        mean = mean if self.problem.is_reading(name, mean) else math.nan
+        return mean, stddev if 0.0 <= stddev <= LARGEST else math.nan
+
     @property
     def inputs(self) -> Array:
         """Where all evaluations were, normalised, shape ``(n, d)``: readbacks, or set-points."""
@@ -227,21 +266,3 @@ class Dataset:
     def stddev_column(self, name: str) -> Array:
         """Standard deviations of one diagnostic, shape ``(n,)``; NaN where unknown."""
         return np.array([e.stddevs.get(name, math.nan) for e in self.evaluations], dtype=float)
-
-
-def _mean_and_stddev(name: str, value: Measured | None) -> tuple[float, float]:
-    if value is None:
-        return math.nan, math.nan
-    pair = value if isinstance(value, tuple | list) else (value, math.nan)
-    if len(pair) != 2:
-        raise ProblemError(
-            f"output '{name}' must be a number or a pair (mean, standard deviation), not {value!r}"
-        )
-    try:
-        mean, stddev = (float(v) for v in pair)
-    except (TypeError, ValueError):
-        raise ProblemError(
-            f"output '{name}' must be a number or a pair (mean, standard deviation), not {value!r}"
-        ) from None
-    mean = mean if math.isfinite(mean) else math.nan
-    return mean, stddev if math.isfinite(stddev) and stddev >= 0.0 else math.nan

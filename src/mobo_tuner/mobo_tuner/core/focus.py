@@ -8,7 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from mobo_tuner.core.problem import Problem, ProblemError
+from mobo_tuner.core.problem import FARTHEST, LARGEST, Problem, ProblemError, as_float
+
+LEAST_RADIUS = 10.0 / FARTHEST
+"""Least share of a variable's range to focus on: what was measured all over the range stays near."""
 
 
 def choose_on_front(
@@ -62,27 +65,28 @@ def around(problem: Problem, setpoint: Mapping[str, float], radius: float) -> Pr
     """The problem with its bounds drawn in to `radius` of each range around a set-point.
 
     Raises:
-        ProblemError: the radius is not between 0 and 1.
+        ProblemError: the radius is not between `LEAST_RADIUS` and 1, or the new bounds are too near
+            to each other.
     """
-    if not 0.0 < radius <= 1.0:
-        raise ProblemError(f"radius is {radius!r}; a number above 0 and up to 1 is allowed")
+    if not LEAST_RADIUS <= as_float("radius", radius) <= 1.0:
+        raise ProblemError(f"radius is {radius!r}; a number from {LEAST_RADIUS:g} to 1 is allowed")
     variables = []
     for v in problem.variables:
         reach = radius * (v.maximum - v.minimum)
         center = setpoint[v.name]
         low, high = max(v.minimum, center - reach), min(v.maximum, center + reach)
         variables.append(replace(v, minimum=low, maximum=high))
-    return replace(problem, variables=tuple(variables))
+    return Problem.from_dict(replace(problem, variables=tuple(variables)).to_dict())
 
 
 def _checked_weights(problem: Problem, weights: Mapping[str, float]) -> np.ndarray[Any, Any]:
-    if weights.keys() != set(problem.objective_names):
+    if not isinstance(weights, Mapping) or weights.keys() != set(problem.objective_names):
         raise ProblemError(
-            f"weights name {', '.join(weights)}; one for each of "
+            f"weights are {weights!r:.60}; one for each of "
             f"{', '.join(problem.objective_names)} is allowed"
         )
-    vector = np.array([weights[name] for name in problem.objective_names], dtype=float)
-    if not (np.isfinite(vector).all() and (vector >= 0.0).all() and vector.any()):
+    vector = np.array([as_float(f"weight {n}", weights[n]) for n in problem.objective_names])
+    if not ((vector >= 0.0).all() and (vector <= LARGEST).all() and vector.any()):
         raise ProblemError(
             f"weights are {dict(weights)}; numbers of at least 0, not all 0, are allowed"
         )

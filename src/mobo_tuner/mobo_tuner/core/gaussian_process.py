@@ -328,25 +328,29 @@ class GaussianProcess:
         """
         settings = GaussianProcessSettings.from_dict(state["settings"], mean, mean_gradient)
         restored = cls(settings, state["reference"])
-        restored._trained = {name: np.array(values) for name, values in state["trained"].items()}
         fitted = state["fitted"]
         if fitted is None:
             return restored
+        kernel = make_kernel(settings.kernel, fitted["d"])
+        restored._trained = {
+            name: _hyperparameters(values, kernel) for name, values in state["trained"].items()
+        }
         inputs, outputs, noise = _checked_data(x, y, stddev, fitted["d"])
         m = fitted["factorised"]
         if len(outputs) < m:
             raise ValueError(
                 f"x must have at least the {m} observations of the state, got {len(outputs)}"
             )
+        if not (abs(fitted["offset"]) <= _LARGEST_OUTPUT and 0.0 < fitted["scale"] < np.inf):
+            raise ValueError(f"offset is {fitted['offset']}, scale {fitted['scale']}")
         scaling = OutputScaling(
-            fitted["log"],
-            fitted["offset"],
-            fitted["scale"],
+            bool(fitted["log"]),
+            float(fitted["offset"]),
+            float(fitted["scale"]),
             settings.mean_function,
             settings.mean_gradient,
         )
-        model = _Model(fitted["model"], scaling, np.array(fitted["parameters"]))
-        kernel = make_kernel(settings.kernel, fitted["d"])
+        model = _Model(fitted["model"], scaling, _hyperparameters(fitted["parameters"], kernel))
         with single_blas_thread():
             restored._state = restored._condition(kernel, model, inputs[:m], outputs[:m], noise[:m])
             for i in range(m, len(outputs)):
@@ -414,6 +418,14 @@ class GaussianProcess:
             if offset is None or offset > 0.0
         ]
         return logs if logs and settings.transform == "log" else plain + logs
+
+
+def _hyperparameters(values: object, kernel: Kernel) -> FloatArray:
+    """Hyperparameters `(k + 2,)` of a state."""
+    parameters = np.array(values, dtype=np.float64)
+    if parameters.shape != (kernel.size + 2,) or not (np.abs(parameters) <= 700.0).all():
+        raise ValueError(f"hyperparameters must be {kernel.size + 2} logarithms, got {values}")
+    return parameters
 
 
 def _checked_data(

@@ -14,7 +14,7 @@ from mobo_tuner.core.dataset import BoolArray, Dataset
 from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
 from mobo_tuner.core.presets import OptimizerSettings
-from mobo_tuner.core.problem import Array, Problem, ProblemError
+from mobo_tuner.core.problem import LARGEST, Array, Problem, ProblemError
 from mobo_tuner.core.validity import ValidityModel
 
 PriorMean = Callable[[Mapping[str, Array]], Array]
@@ -48,6 +48,8 @@ class Models:
         self._refit_every = settings.refit_every
         self._seed = seed
         self._signs = {o.name: o.sign for o in problem.objectives}
+        if prior_means is not None and not isinstance(prior_means, Mapping):
+            raise ProblemError(f"prior_means must be a mapping of names, not {prior_means!r:.60}")
         self._means = {n: self._mean_function(n, f) for n, f in (prior_means or {}).items()}
         process = settings.gaussian_process
         self._processes = {
@@ -66,6 +68,7 @@ class Models:
                 raise ProblemError(
                     f"a prior mean is given for '{name}'; allowed are {', '.join(self._processes)}"
                 )
+            self._means[name](np.zeros((2, len(problem.variables))))
         self.validity = ValidityModel()
         self._judged = 0  # number of evaluations that the model of validity holds
         self._trained = 0  # number of evaluations with an output at the last training
@@ -76,7 +79,23 @@ class Models:
     def _mean_function(self, name: str, prior_mean: PriorMean) -> MeanFunction:
         """The prior mean of what is modelled, on normalised inputs."""
         sign = self._signs.get(name, 1.0)
-        return lambda x: sign * np.asarray(prior_mean(self._problem.columns(x)), dtype=float)
+        if not callable(prior_mean):
+            raise ProblemError(f"the prior mean of '{name}' must be a function")
+
+        def mean(x: Array) -> Array:
+            predicted = prior_mean(self._problem.columns(x))
+            try:
+                values = np.asarray(predicted, dtype=float)
+            except (TypeError, ValueError):
+                values = np.empty(0)
+            if values.shape != (len(x),) or not (np.abs(values) <= LARGEST).all():
+                raise ProblemError(
+                    f"the prior mean of '{name}' must return {len(x)} finite numbers for as many "
+                    f"set-points, not {predicted!r:.60}"
+                )
+            return sign * values
+
+        return mean
 
     def _with_prior_mean(
         self, settings: GaussianProcessSettings, name: str
@@ -213,10 +232,23 @@ class Models:
         }
 
     def set_state(self, state: dict[str, Any], data: Dataset) -> None:
-        """Become the models that `get_state` came from, given the data that they had learned from."""
-        self._trained, self._trained_rows = state["trained"], state["trained_rows"]
-        self._held, self._judged = state["held"], state["judged"]
-        self._outdated = state["outdated"]
+        """Become the models that `get_state` came from, given the data that they had learned from.
+
+        Raises:
+            ProblemError: If the state does not suit the data.
+        """
+        self._trained, self._trained_rows = int(state["trained"]), int(state["trained_rows"])
+        self._held, self._judged = int(state["held"]), int(state["judged"])
+        self._outdated = bool(state["outdated"])
+        if not (
+            0 <= self._trained <= self._trained_rows <= self._held <= len(data)
+            and 0 <= self._judged <= len(data)
+        ):
+            raise ProblemError(
+                f"the state's models were trained with {self._trained} of {self._trained_rows} "
+                f"evaluations and hold {self._held}, those of failures {self._judged}, "
+                f"but there are {len(data)}"
+            )
         judged = np.flatnonzero(~data.forgotten[: self._judged])
         self.validity = ValidityModel.from_state(
             state["validity"], data.inputs[judged], ~data.failed[judged]
@@ -231,6 +263,8 @@ class Models:
                 stddev[rows],
                 mean=self._means.get(name),
             )
+            if self._processes[name].n != len(rows):
+                raise ProblemError(f"the state lacks what the model of '{name}' was fitted to")
 
 
 def _is_time_to_restart(trained: int, count: int) -> bool:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+import warnings
 from collections.abc import Mapping
 from dataclasses import fields
+from difflib import get_close_matches
 from functools import reduce
 from operator import mul
 from pathlib import Path
@@ -34,9 +37,10 @@ from mobo_tuner.core.linear_algebra import single_blas_thread
 from mobo_tuner.core.models import Models, PriorMean
 from mobo_tuner.core.predicted_front import predict_front
 from mobo_tuner.core.presets import OptimizerSettings, make_settings
-from mobo_tuner.core.problem import Array, Problem, ProblemError
+from mobo_tuner.core.problem import Array, Problem, ProblemError, as_float
 from mobo_tuner.core.proximal import ProximalBiasing
 from mobo_tuner.core.scalarisation import WeightedSum
+from mobo_tuner.errors import UserError
 
 Source = Literal["initial", "model"]
 
@@ -80,6 +84,8 @@ class Optimizer:
         prior_means: Mapping[str, PriorMean] | None = None,
         **overrides: Any,
     ) -> None:
+        if not isinstance(problem, Problem):
+            raise ProblemError(f"problem must be a Problem, not {problem!r:.60}")
         if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
             raise ProblemError(f"seed is {seed!r}; a whole number of at least 0 is allowed")
         self.problem = problem
@@ -95,6 +101,7 @@ class Optimizer:
         self._belief: Belief | None = None  # of all that was told, once it was needed
         self._believed_hypervolume: float | None = None
         self._last_source: Source = "initial"
+        self._told: set[str] = set()  # outputs that were told, or are known to be misspelt
 
     @property
     def initial_evaluations(self) -> int:
@@ -180,6 +187,7 @@ class Optimizer:
         """
         evaluation = self.dataset.add(setpoint, outputs, readbacks, failed)
         self._forget_belief()
+        self._warn_of_misspelt(outputs)
         if evaluation.feasible:
             # A sum of gains never falls, unlike a volume computed again, by its last digit.
             self._hypervolume += self._boxes.add(self._minimised(evaluation))
@@ -238,6 +246,22 @@ class Optimizer:
     def _update_models(self) -> None:
         self._models.update(self.dataset)
         self._forget_belief()
+
+    def _warn_of_misspelt(self, outputs: Mapping[str, Any]) -> None:
+        """Warn, once for each, of an unknown output that looks like one that was never told."""
+        problem = self.problem
+        known = {*problem.required_diagnostics, *(o.name for o in problem.observables)}
+        unknown = outputs.keys() - known
+        if not unknown:
+            return
+        for name in known - self._told - outputs.keys():
+            for match in get_close_matches(name, unknown, n=1, cutoff=0.75):
+                self._told.add(name)
+                warnings.warn(
+                    f"the output '{match}' is unknown to the problem, and '{name}' is missing",
+                    stacklevel=3,
+                )
+        self._told |= known & outputs.keys()
 
     def ask(self) -> dict[str, float]:
         """The set-point to evaluate next, in physical units and inside the bounds."""
@@ -302,6 +326,8 @@ class Optimizer:
         Raises:
             ProblemError: the variables are others, or the settings do not suit the problem.
         """
+        if not isinstance(problem, Problem):
+            raise ProblemError(f"problem must be a Problem, not {problem!r:.60}")
         if set(problem.variable_names) != set(self.problem.variable_names):
             raise ProblemError(
                 f"the variables are {', '.join(problem.variable_names)}; with what was measured "
@@ -323,7 +349,12 @@ class Optimizer:
         Returns:
             Set-point, objectives and their standard deviations (`stddevs`) of each point, in their
             own units; empty where no evaluation is valid or nothing good is predicted.
+
+        Raises:
+            ProblemError: the size is not a whole number of at least 1.
         """
+        if isinstance(size, bool) or not isinstance(size, int) or size < 1:
+            raise ProblemError(f"size is {size!r}; a whole number of at least 1 is allowed")
         if not self.dataset.valid.any():
             return []
         models = Models(self.problem, self.settings, self.seed, self._prior_means)
@@ -390,33 +421,43 @@ class Optimizer:
             prior_means: the same functions again, where there were some.
 
         Raises:
-            ProblemError: the state is of another version or incomplete.
+            ProblemError: the state is of another version, incomplete or damaged.
         """
-        if state.get("version") != STATE_VERSION:
-            raise ProblemError(
-                f"the state is of version {state.get('version')!r}; {STATE_VERSION} is allowed"
-            )
+        if not isinstance(state, Mapping) or state.get("version") != STATE_VERSION:
+            version = state.get("version") if isinstance(state, Mapping) else None
+            raise ProblemError(f"the state is of version {version!r}; {STATE_VERSION} is allowed")
         try:
-            restored = cls(Problem.from_dict(state["problem"]), seed=state["seed"])
-            restored.settings = OptimizerSettings.from_dict(state["settings"])
-            restored._prior_means = prior_means
-            restored._models = Models(
-                restored.problem, restored.settings, restored.seed, prior_means
-            )
-            for evaluation in state["evaluations"]:
-                outputs = {n: (pair[0], pair[1]) for n, pair in evaluation["outputs"].items()}
-                restored.tell(
-                    evaluation["setpoint"],
-                    outputs,
-                    evaluation.get("readbacks", {}),
-                    evaluation.get("failed"),
-                )
-            for index, name in state["forgotten"]:
-                restored.forget(index, name)
-            restored._hypervolume = float(state["hypervolume"])
-            restored._models.set_state(state["models"], restored.dataset)
+            return cls._restored(state, prior_means)
+        except UserError:
+            raise
         except KeyError as error:
             raise ProblemError(f"the state lacks {error}") from None
+        except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
+            raise ProblemError(f"the state is not one that get_state gave: {error}") from None
+
+    @classmethod
+    def _restored(
+        cls, state: Mapping[str, Any], prior_means: Mapping[str, PriorMean] | None
+    ) -> Optimizer:
+        restored = cls(Problem.from_dict(state["problem"]), seed=state["seed"])
+        restored.settings = OptimizerSettings.from_dict(state["settings"])
+        restored._check_settings()
+        restored._prior_means = prior_means
+        restored._models = Models(restored.problem, restored.settings, restored.seed, prior_means)
+        for evaluation in state["evaluations"]:
+            outputs = {n: (pair[0], pair[1]) for n, pair in evaluation["outputs"].items()}
+            restored.tell(
+                evaluation["setpoint"],
+                outputs,
+                evaluation.get("readbacks", {}),
+                evaluation.get("failed"),
+            )
+        for index, name in state["forgotten"]:
+            restored.forget(index, name)
+        restored._hypervolume = as_float("the state's hypervolume", state["hypervolume"])
+        if not 0.0 <= restored._hypervolume < math.inf:
+            raise ProblemError(f"the state's hypervolume is {restored._hypervolume}")
+        restored._models.set_state(state["models"], restored.dataset)
         return restored
 
     def save(self, path: str | Path) -> None:

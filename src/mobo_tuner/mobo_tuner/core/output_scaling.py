@@ -111,7 +111,8 @@ class OutputScaling:
     def noise_variances(self, y: FloatArray, stddev: FloatArray) -> FloatArray:
         """Variances of z `(n,)` from standard deviations of y, to first order for the log."""
         unit = self.scale * np.abs(y) if self.log else self.scale
-        return np.asarray(np.minimum(np.square(stddev / unit), _LARGEST_VARIANCE))
+        with np.errstate(over="ignore"):
+            return np.asarray(np.minimum(np.square(stddev / unit), _LARGEST_VARIANCE))
 
     def log_slope(self, y: FloatArray) -> FloatArray:
         """`log |dz/dy|` `(n,)`, which turns log densities of z into those of y."""

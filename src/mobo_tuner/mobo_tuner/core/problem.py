@@ -35,6 +35,15 @@ __all__ = [
 Direction = Literal["minimize", "maximize"]
 Array = NDArray[np.float64]
 
+LARGEST = 1e38
+"""Largest magnitude of a number in a problem. A reading above it is a sentinel, such as the largest
+float of single or double precision, and means that nothing was measured."""
+FARTHEST = 1e5
+"""Largest distance of a set-point from the bounds, in units of the variable's range: the models
+cannot tell what lies farther away from one another."""
+_SINGLE_PRECISION = 1e-6  # relative difference of a sentinel that passed through 32 bits
+_FINEST = 1e-12  # least range of a variable, relative to its bounds
+
 SECTIONS = ("variables", "objectives", "constraints", "observables")
 _NAME = re.compile(r"(?!.*__)[A-Za-z][A-Za-z0-9_]*")
 
@@ -56,6 +65,10 @@ class Variable:
     unit: str = ""
     cost: float = 1.0
 
+    def normalize(self, value: float) -> float:
+        """Scale a value in `unit` so that the bounds are -1 and 1."""
+        return 2.0 * (value - self.minimum) / (self.maximum - self.minimum) - 1.0
+
 
 @dataclass(frozen=True)
 class Objective:
@@ -63,6 +76,7 @@ class Objective:
 
     `reference` is its component of the reference point, in `unit`: a measured value that is worse
     earns no hypervolume. `truncation` is its side ``(A, B)`` of the truncation box, in `unit`.
+    A reading that is one of `invalid` means that nothing was measured.
     """
 
     name: str
@@ -70,6 +84,7 @@ class Objective:
     direction: Direction = "minimize"
     unit: str = ""
     truncation: tuple[float, float] | None = None
+    invalid: tuple[float, ...] = ()
 
     @property
     def sign(self) -> float:
@@ -82,6 +97,7 @@ class Constraint:
     """A limit on a diagnostic: ``minimum <= value <= maximum``, in `unit`.
 
     A `critical` one may not be violated by a single shot: the machine ends the evaluation that does.
+    A reading that is one of `invalid` means that nothing was measured.
     """
 
     name: str
@@ -89,6 +105,7 @@ class Constraint:
     maximum: float = math.inf
     unit: str = ""
     critical: bool = False
+    invalid: tuple[float, ...] = ()
 
     def is_met(self, value: float) -> bool:
         """Whether a measured `value` meets the limit; NaN does not."""
@@ -97,10 +114,14 @@ class Constraint:
 
 @dataclass(frozen=True)
 class Observable:
-    """A diagnostic that is recorded, neither optimised nor limited."""
+    """A diagnostic that is recorded, neither optimised nor limited.
+
+    A reading that is one of `invalid` means that nothing was measured.
+    """
 
     name: str
     unit: str = ""
+    invalid: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -167,6 +188,13 @@ class Problem:
                     f"'{variable.name}' is a variable and an objective or observable: "
                     "a name can stand for one quantity only"
                 )
+        for objective in problem.objectives:
+            if abs(objective.reference) > problem.largest_reading:
+                raise ProblemError(
+                    f"objectives.{objective.name}.reference is {objective.reference:g}; with "
+                    f"{len(problem.objectives)} objectives at most {problem.largest_reading:g} in "
+                    "magnitude is allowed, so that the hypervolume is a finite number"
+                )
         return problem
 
     def to_dict(self) -> dict[str, dict[str, dict[str, Any]]]:
@@ -179,6 +207,7 @@ class Problem:
             "objectives": {
                 o.name: {"direction": o.direction, "reference": o.reference, "unit": o.unit}
                 | ({"truncation": list(o.truncation)} if o.truncation else {})
+                | _invalid_entry(o)
                 for o in self.objectives
             },
             "constraints": {
@@ -189,9 +218,10 @@ class Problem:
                 }
                 | {"unit": c.unit}
                 | ({"critical": True} if c.critical else {})
+                | _invalid_entry(c)
                 for c in self.constraints
             },
-            "observables": {o.name: {"unit": o.unit} for o in self.observables},
+            "observables": {o.name: {"unit": o.unit} | _invalid_entry(o) for o in self.observables},
         }
 
     @property
@@ -208,6 +238,23 @@ class Problem:
     def required_diagnostics(self) -> tuple[str, ...]:
         """Diagnostics without which an evaluation is invalid: objectives and constrained ones."""
         return tuple(dict.fromkeys([*self.objective_names, *(c.name for c in self.constraints)]))
+
+    @property
+    def largest_reading(self) -> float:
+        """Largest magnitude of a reading: the hypervolume is a product of as many as objectives."""
+        return float(min(LARGEST, 10.0 ** (290.0 / len(self.objectives))))
+
+    def is_reading(self, name: str, value: float) -> bool:
+        """Whether a value of a diagnostic was measured: finite, and not a sentinel."""
+        if not abs(value) <= self.largest_reading:
+            return False
+        quantities: list[Objective | Constraint | Observable] = [
+            *self.objectives,
+            *self.constraints,
+            *self.observables,
+        ]
+        sentinels = [s for q in quantities if q.name == name for s in q.invalid]
+        return not any(math.isclose(value, s, rel_tol=_SINGLE_PRECISION) for s in sentinels)
 
     @property
     def reference_point(self) -> Array:
@@ -228,16 +275,25 @@ class Problem:
         """Scale a set-point in physical units to ``[-1, 1]``, shape ``(d,)``.
 
         Raises:
-            ProblemError: a variable is missing or unknown, or its value is not a finite number.
+            ProblemError: a variable is missing or unknown, its value is not a finite number, or it is
+                farther from the bounds than `FARTHEST`.
         """
+        if not isinstance(setpoint, Mapping):
+            raise ProblemError(f"the set-point must be a mapping, not {_describe(setpoint)}")
         _reject_unknown("the set-point", setpoint, self.variable_names)
         values = []
         for variable in self.variables:
             if variable.name not in setpoint:
                 raise ProblemError(f"the set-point lacks the variable '{variable.name}'")
             value = _number(f"set-point {variable.name}", setpoint[variable.name])
-            span = variable.maximum - variable.minimum
-            values.append(2.0 * (value - variable.minimum) / span - 1.0)
+            x = variable.normalize(value)
+            if abs(x) > 2.0 * FARTHEST:
+                raise ProblemError(
+                    f"set-point {variable.name} is {value:g}, which is too far from its bounds "
+                    f"{variable.minimum:g} to {variable.maximum:g}: {FARTHEST:g} times the range "
+                    "is allowed"
+                )
+            values.append(x)
         return np.array(values)
 
     def denormalize(self, x: Array) -> dict[str, float]:
@@ -352,6 +408,11 @@ def _variable(name: str, entry: Mapping[str, Any]) -> Variable:
     high = _number(f"{where}.max", _required(where, entry, "max"))
     if not low < high:
         raise ProblemError(f"{where}.min is {low:g}, which must be less than its max of {high:g}")
+    if high - low < max(_FINEST * max(abs(low), abs(high)), 1.0 / LARGEST):
+        raise ProblemError(
+            f"{where}.max is {high!r}, too near to its min of {low!r}: a range of at least "
+            f"{_FINEST:g} of the bounds, and of {1.0 / LARGEST:g}, is allowed"
+        )
     cost = _number(f"{where}.cost", entry.get("cost", 1.0))
     if cost < 0.0:
         raise ProblemError(f"{where}.cost is {cost:g}, which must not be negative")
@@ -360,7 +421,7 @@ def _variable(name: str, entry: Mapping[str, Any]) -> Variable:
 
 def _objective(name: str, entry: Mapping[str, Any]) -> Objective:
     where = f"objectives.{name}"
-    _reject_unknown(where, entry, ("direction", "reference", "unit", "truncation"))
+    _reject_unknown(where, entry, ("direction", "reference", "unit", "truncation", "invalid"))
     direction = entry.get("direction", "minimize")
     if direction not in ("minimize", "maximize"):
         raise ProblemError(
@@ -376,12 +437,12 @@ def _objective(name: str, entry: Mapping[str, Any]) -> Objective:
                 f"[{truncation[0]:g}, {truncation[1]:g}]"
             )
     unit = _text(f"{where}.unit", entry.get("unit", ""))
-    return Objective(name, reference, direction, unit, truncation)
+    return Objective(name, reference, direction, unit, truncation, _invalid(where, entry))
 
 
 def _constraint(name: str, entry: Mapping[str, Any]) -> Constraint:
     where = f"constraints.{name}"
-    _reject_unknown(where, entry, ("min", "max", "unit", "critical"))
+    _reject_unknown(where, entry, ("min", "max", "unit", "critical", "invalid"))
     if "min" not in entry and "max" not in entry:
         raise ProblemError(f"{where} needs 'min', 'max' or both")
     low = _number(f"{where}.min", entry["min"]) if "min" in entry else -math.inf
@@ -391,13 +452,28 @@ def _constraint(name: str, entry: Mapping[str, Any]) -> Constraint:
     critical = entry.get("critical", False)
     if not isinstance(critical, bool):
         raise ProblemError(f"{where}.critical must be true or false, not {_describe(critical)}")
-    return Constraint(name, low, high, _text(f"{where}.unit", entry.get("unit", "")), critical)
+    unit = _text(f"{where}.unit", entry.get("unit", ""))
+    return Constraint(name, low, high, unit, critical, _invalid(where, entry))
 
 
 def _observable(name: str, entry: Mapping[str, Any]) -> Observable:
     where = f"observables.{name}"
-    _reject_unknown(where, entry, ("unit",))
-    return Observable(name, _text(f"{where}.unit", entry.get("unit", "")))
+    _reject_unknown(where, entry, ("unit", "invalid"))
+    unit = _text(f"{where}.unit", entry.get("unit", ""))
+    return Observable(name, unit, _invalid(where, entry))
+
+
+def _invalid(where: str, entry: Mapping[str, Any]) -> tuple[float, ...]:
+    values = entry.get("invalid")
+    if values is None:
+        return ()
+    if isinstance(values, str) or not isinstance(values, Sequence):
+        raise ProblemError(f"{where}.invalid must be a list of numbers, not {_describe(values)}")
+    return tuple(_number(f"{where}.invalid", value) for value in values)
+
+
+def _invalid_entry(quantity: Objective | Constraint | Observable) -> dict[str, list[float]]:
+    return {"invalid": list(quantity.invalid)} if quantity.invalid else {}
 
 
 def _interval(where: str, value: object) -> tuple[float, float]:
@@ -416,15 +492,29 @@ def _required(where: str, entry: Mapping[str, Any], key: str) -> object:
 
 
 def _number(where: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
-        raise ProblemError(f"{where} must be a number, not {_describe(value)}")
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
+    number = as_float(where, value)
     if not math.isfinite(number):
         raise ProblemError(f"{where} must be a finite number, not {number}")
+    if abs(number) > LARGEST:
+        raise ProblemError(f"{where} is {number:g}; at most {LARGEST:g} in magnitude is allowed")
     return number
+
+
+def as_float(where: str, value: object) -> float:
+    """Return a number of any type as a float, NaN and infinity included.
+
+    Raises:
+        ProblemError: If it is not a number: text, a truth value, an array or a list for instance.
+    """
+    is_scalar = not isinstance(value, np.ndarray) or value.ndim == 0
+    if isinstance(value, str | bytes | bytearray | bool | np.bool_) or not is_scalar:
+        raise ProblemError(f"{where} must be a number, not {_describe(value)}")
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        raise ProblemError(f"{where} must be a number, not {_describe(value)}") from None
+    except OverflowError:
+        raise ProblemError(f"{where} must be a finite number, not {_describe(value)}") from None
 
 
 def _text(where: str, value: object) -> str:
@@ -447,7 +537,11 @@ def _describe(value: object) -> str:
     if value is None:
         return "empty"
     kinds = {bool: "a truth value", list: "a list", dict: "a mapping"}
-    return f"{kinds.get(type(value), 'the value')} ({str(value)[:40]})"
+    kind = kinds.get(type(value), "the value")
+    try:
+        return f"{kind} ({str(value)[:40]})"
+    except ValueError:  # Python writes no integer of more than 4300 digits
+        return f"{kind} of more than 4300 digits"
 
 
 def _check_unit(

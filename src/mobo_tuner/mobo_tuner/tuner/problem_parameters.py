@@ -17,8 +17,11 @@ _DESCRIPTIONS = {
     ("objectives", "direction"): "minimize or maximize",
     ("objectives", "reference"): "component of the reference point",
     ("objectives", "truncation"): "side [A, B] of the truncation box",
+    ("objectives", "invalid"): "readings that mean that nothing was measured",
     ("constraints", "min"): "least value that is feasible",
     ("constraints", "max"): "greatest value that is feasible",
+    ("constraints", "invalid"): "readings that mean that nothing was measured",
+    ("observables", "invalid"): "readings that mean that nothing was measured",
     ("constraints", "critical"): "whether a single shot that violates it ends the evaluation",
 }
 # What may be set while the node runs, by section; it is declared even where the file lacks it.
