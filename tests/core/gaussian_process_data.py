@@ -1,13 +1,11 @@
 """Data that the tests of the Gaussian process share."""
 
-from typing import get_args
-
 import numpy as np
 from hypothesis import settings
 
-from mobo_tuner.core.kernels import KernelName
+from mobo_tuner.core.kernels import KERNELS as KERNEL_REGISTRY
 
-KERNELS = get_args(KernelName)
+KERNELS = tuple(KERNEL_REGISTRY)
 quick = settings(max_examples=30, deadline=None, derandomize=True)
 
 

@@ -108,8 +108,8 @@ def test_gradients_of_predictions_with_a_mean_function(with_gradient):
         return 38.0 + 7.0 * np.sin(2.0 * x[:, 0])
 
     x, y, new = sample()
-    choice = GaussianProcessSettings(mean=prior, mean_gradient=slope if with_gradient else None)
-    model = GaussianProcess(choice).fit(x, y)
+    gradient = slope if with_gradient else None
+    model = GaussianProcess(mean=prior, mean_gradient=gradient).fit(x, y)
     assert model.model == "function"
     _assert_gradients(model, new)
     far, _ = model.predict(1e4 * np.ones((1, 3)))
@@ -281,12 +281,16 @@ def test_state_before_the_first_fit():
 
 def test_state_with_a_mean_function_needs_it_again():
     x, y, new = sample()
-    model = GaussianProcess(GaussianProcessSettings(mean=smooth)).fit(x, y + x[:, 2])
+    model = GaussianProcess(mean=smooth).fit(x, y + x[:, 2])
     state = json.loads(json.dumps(model.get_state()))
     restored = GaussianProcess.from_state(state, x, y + x[:, 2], mean=smooth)
     np.testing.assert_array_equal(restored.predict(new), model.predict(new))
     with pytest.raises(ValueError, match="mean must be given"):
         GaussianProcess.from_state(state, x, y)
+    with pytest.raises(ValueError, match="mean must be given"):
+        GaussianProcess.from_state(GaussianProcess().get_state(), mean=smooth)
+    with pytest.raises(ValueError, match="mean_gradient needs a mean"):
+        GaussianProcess(mean_gradient=smooth)
 
 
 def test_state_refuses_too_few_observations():

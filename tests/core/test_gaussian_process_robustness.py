@@ -175,6 +175,6 @@ def test_reference_is_checked():
 )
 def test_bad_mean_functions_are_refused(mean, gradient, message):
     x, y, new = sample()
-    choice = GaussianProcessSettings(mean=mean, mean_gradient=gradient)
+    model = GaussianProcess(mean=mean, mean_gradient=gradient)
     with pytest.raises(ValueError, match=message):
-        GaussianProcess(choice).fit(x, y).predict_with_gradient(new)
+        model.fit(x, y).predict_with_gradient(new)

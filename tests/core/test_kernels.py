@@ -1,20 +1,17 @@
-from typing import get_args
-
 import numpy as np
 import pytest
 from scipy import stats
 from scipy.optimize import approx_fprime, check_grad
 
 from mobo_tuner.core.kernels import (
-    KernelName,
+    KERNELS,
     RBFFull,
     as_inputs,
-    make_kernel,
     precision_from_hessian,
     squared_distances,
 )
 
-NAMES = get_args(KernelName)
+NAMES = tuple(KERNELS)
 
 
 def _parameters(kernel, rng):
@@ -24,7 +21,7 @@ def _parameters(kernel, rng):
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("d", [1, 3])
 def test_profile_slope_is_the_derivative(name, d):
-    kernel = make_kernel(name, d)
+    kernel = KERNELS.find(name)(d)
     r2 = np.array([1e-3, 0.1, 1.0, 4.0, 30.0])
     h = 1e-6
     derivative = (kernel.profile(r2 + h)[0] - kernel.profile(r2 - h)[0]) / (2.0 * h)
@@ -36,7 +33,7 @@ def test_profile_slope_is_the_derivative(name, d):
 @pytest.mark.parametrize("name", NAMES)
 def test_factor_makes_the_equation_of_the_docstring(name):
     rng = np.random.default_rng(1)
-    kernel = make_kernel(name, 3)
+    kernel = KERNELS.find(name)(3)
     parameters = _parameters(kernel, rng)
     x = rng.uniform(-1, 1, (4, 3))
     if isinstance(kernel, RBFFull):
@@ -54,7 +51,7 @@ def test_factor_makes_the_equation_of_the_docstring(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_gradient_in_the_parameters_by_finite_differences(name):
     rng = np.random.default_rng(2)
-    kernel = make_kernel(name, 3)
+    kernel = KERNELS.find(name)(3)
     x = rng.uniform(-1, 1, (6, 3))
     weights = rng.normal(size=(6, 6))
     weights += weights.T
@@ -79,7 +76,7 @@ def test_gradient_in_the_parameters_by_finite_differences(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_bounds_and_prior_hold_the_defaults(name):
-    kernel = make_kernel(name, 5)
+    kernel = KERNELS.find(name)(5)
     bounds, prior = kernel.bounds(), kernel.prior()
     default = kernel.default_parameters()
     assert bounds.shape == (kernel.size, 2)
@@ -89,7 +86,7 @@ def test_bounds_and_prior_hold_the_defaults(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_penalty_is_that_of_students_t(name):
-    prior = make_kernel(name, 3).prior()
+    prior = KERNELS.find(name)(3).prior()
     rng = np.random.default_rng(6)
     oracle = stats.t(3.0, prior.location, prior.scale)
     most = oracle.logpdf(prior.location).sum()
@@ -104,7 +101,7 @@ def test_the_penalty_is_that_of_students_t(name):
 @pytest.mark.parametrize("name", ["rbf", "matern52", "rbf_full"])
 @pytest.mark.parametrize("d", [1, 6, 20])
 def test_random_points_are_as_alike_in_any_number_of_variables(name, d):
-    kernel = make_kernel(name, d)
+    kernel = KERNELS.find(name)(d)
     x = np.random.default_rng(7).uniform(-1.0, 1.0, (200, d))
     scaled = x @ kernel.factor(kernel.default_parameters())
     squares = squared_distances(scaled, scaled)[np.triu_indices(len(x), 1)]
@@ -116,7 +113,7 @@ def test_full_precision_from_a_given_matrix():
     factor = rng.normal(size=(4, 4))
     precision = factor @ factor.T + 0.1 * np.eye(4)
     kernel = RBFFull(4)
-    np.testing.assert_allclose(kernel.precision(kernel.parameters_of(precision)), precision)
+    np.testing.assert_allclose(kernel.precision(kernel.from_precision(precision)), precision)
 
 
 def test_squared_distances_between_two_sets():

@@ -1,14 +1,16 @@
 import numpy as np
 import pytest
 
-from mobo_tuner.core.kernels import make_kernel
+from mobo_tuner.core.kernels import KERNELS
 from mobo_tuner.core.posterior import Posterior
 
 
 def _posterior(n, noise, length_scale):
     x = np.linspace(-1, 1, n)[:, None]
     shape = np.array([np.log(length_scale)])
-    return Posterior(make_kernel("rbf", 1), shape, 4.0, x, np.sin(3.0 * x[:, 0]), np.full(n, noise))
+    return Posterior(
+        KERNELS.find("rbf")(1), shape, 4.0, x, np.sin(3.0 * x[:, 0]), np.full(n, noise)
+    )
 
 
 def test_prediction_is_that_of_the_equations():

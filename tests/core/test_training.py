@@ -7,7 +7,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
 
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
-from mobo_tuner.core.kernels import make_kernel
+from mobo_tuner.core.kernels import KERNELS
 from mobo_tuner.core.training import (
     NegativeLogPosterior,
     held_parameters,
@@ -30,7 +30,7 @@ def _data(n=12, d=3, seed=0):
 @pytest.mark.parametrize("n", [12, 150])
 def test_gradient_by_finite_differences(name, weak_prior, n):
     x, z, rng = _data(n)
-    kernel = make_kernel(name, 3)
+    kernel = KERNELS.find(name)(3)
     extra = rng.uniform(0.0, 0.1, len(z))
     objective = NegativeLogPosterior(kernel, x, z, extra, weak_prior)
     for _ in range(3):
@@ -42,7 +42,7 @@ def test_gradient_by_finite_differences(name, weak_prior, n):
 @pytest.mark.parametrize("name", ["rbf_isotropic", "rbf", "matern52"])
 def test_likelihood_and_gradient_are_those_of_scikit_learn(name):
     x, z, _ = _data()
-    kernel = make_kernel(name, 3)
+    kernel = KERNELS.find(name)(3)
     scales = np.array([0.7]) if name == "rbf_isotropic" else np.array([0.7, 1.1, 2.0])
     shape = Matern(scales, nu=2.5) if name == "matern52" else RBF(scales)
     oracle = GaussianProcessRegressor(ConstantKernel(2.0) * shape + WhiteKernel(1e-3), alpha=0.0)
@@ -60,7 +60,7 @@ def test_likelihood_and_gradient_are_those_of_scikit_learn(name):
 
 def test_lbfgs_is_at_least_as_good_as_scikit_learn():
     x, z, _ = _data(25)
-    objective = NegativeLogPosterior(make_kernel("rbf", 3), x, z, np.zeros_like(z), False)
+    objective = NegativeLogPosterior(KERNELS.find("rbf")(3), x, z, np.zeros_like(z), False)
     bounds = objective.bounds(1e-9)
     free = np.ones(len(bounds), dtype=bool)
     start = objective.default_parameters()
@@ -77,7 +77,7 @@ def test_lbfgs_is_at_least_as_good_as_scikit_learn():
 
 def test_held_hyperparameters_do_not_move():
     x, z, _ = _data()
-    objective = NegativeLogPosterior(make_kernel("rbf", 3), x, z, np.zeros_like(z), True)
+    objective = NegativeLogPosterior(KERNELS.find("rbf")(3), x, z, np.zeros_like(z), True)
     start = objective.default_parameters()
     free = np.array([True, False, True, True, False])
     bounds = objective.bounds(1e-9)
@@ -91,7 +91,7 @@ def test_held_hyperparameters_do_not_move():
 
 def test_nothing_free_keeps_the_start():
     x, z, _ = _data()
-    objective = NegativeLogPosterior(make_kernel("rbf", 3), x, z, np.zeros_like(z), True)
+    objective = NegativeLogPosterior(KERNELS.find("rbf")(3), x, z, np.zeros_like(z), True)
     start = objective.default_parameters()
     best, value = train_lbfgs(
         objective, start[None], objective.bounds(1e-9), np.zeros(5, dtype=bool), 1e-8
@@ -102,7 +102,7 @@ def test_nothing_free_keeps_the_start():
 
 def test_adam_reaches_what_lbfgs_reaches():
     x, z, _ = _data(20)
-    objective = NegativeLogPosterior(make_kernel("matern52", 3), x, z, np.zeros_like(z), True)
+    objective = NegativeLogPosterior(KERNELS.find("matern52")(3), x, z, np.zeros_like(z), True)
     bounds, free = objective.bounds(1e-9), np.ones(5, dtype=bool)
     start = objective.default_parameters()
     _, reached = train_adam(objective, start, bounds, free, 0.02, 1500)
@@ -112,7 +112,7 @@ def test_adam_reaches_what_lbfgs_reaches():
 
 def test_adam_first_steps_have_the_length_of_the_rate():
     x, z, _ = _data()
-    objective = NegativeLogPosterior(make_kernel("rbf", 3), x, z, np.zeros_like(z), True)
+    objective = NegativeLogPosterior(KERNELS.find("rbf")(3), x, z, np.zeros_like(z), True)
     start = objective.default_parameters()
     moved, _ = train_adam(objective, start, objective.bounds(1e-9), np.ones(5, bool), 1e-3, 1)
     np.testing.assert_allclose(np.abs(moved - start), 1e-3, rtol=1e-3)
@@ -120,12 +120,12 @@ def test_adam_first_steps_have_the_length_of_the_rate():
 
 def test_held_parameters_of_the_settings():
     settings = GaussianProcessSettings(kernel="rbf", length_scales=0.5, variance=8.0, noise=0.1)
-    held, free = held_parameters(settings, make_kernel("rbf", 2), scale=2.0)
+    held, free = held_parameters(settings, KERNELS.find("rbf")(2), scale=2.0)
     assert not free.any()
     np.testing.assert_allclose(np.exp(held), [0.5, 0.5, 2.0, 1e-9])
 
     settings = GaussianProcessSettings(kernel="rbf_full", length_scales=(0.5, 2.0))
-    kernel = make_kernel("rbf_full", 2)
+    kernel = KERNELS.find("rbf_full")(2)
     held, free = held_parameters(settings, kernel, scale=1.0)
     np.testing.assert_allclose(kernel.precision(held[:-2]), np.diag([4.0, 0.25]), atol=1e-12)
     assert free.tolist() == [False] * 5 + [True] * 2
@@ -143,12 +143,12 @@ def test_held_parameters_of_the_settings():
 )
 def test_held_shape_of_another_dimension_is_refused(settings, message):
     with pytest.raises(ValueError, match=message):
-        held_parameters(settings, make_kernel(settings.kernel, 3), 1.0)
+        held_parameters(settings, KERNELS.find(settings.kernel)(3), 1.0)
 
 
 def test_one_observation_teaches_nothing():
     settings = GaussianProcessSettings()
-    kernel = make_kernel("matern52", 2)
+    kernel = KERNELS.find("matern52")(2)
     x, z = np.zeros((1, 2)), np.ones(1)
     parameters = train(settings, kernel, 1.0, x, z, 0.0 * z, None, np.random.default_rng(0), 2)
     np.testing.assert_allclose(np.exp(parameters), [np.sqrt(2.0), np.sqrt(2.0), 1.0, 1e-4])

@@ -21,15 +21,19 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import Protocol
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erfcx, ndtr
 
-from mobo_tuner.core.hypervolume import BoxDecomposition
 from mobo_tuner.core.pareto import FloatArray, as_points
+from mobo_tuner.core.registry import Registry
+
+if TYPE_CHECKING:
+    from mobo_tuner.core.hypervolume import BoxDecomposition
 
 _LOG_DENSITY_AT_ZERO = -0.5 * math.log(2.0 * math.pi)
 _SERIES_BELOW = -100.0
@@ -133,8 +137,58 @@ class Product(AcquisitionFunction):
         return total, total_gradient
 
 
-class ExpectedImprovement(AcquisitionFunction):
+@dataclass(frozen=True)
+class Knowledge:
+    """What an acquisition function of the objectives is made from; everything is minimised.
+
+    For one that takes a single objective, that is the problem's only one or the weighted sum of
+    all, and P is 1.
+
+    Attributes:
+        models: Models of the objectives, P of them.
+        values: Objectives of the feasible evaluations `(n, P)`; n may be 0.
+        reference: Reference point `(P,)`.
+        beta: Weight of the uncertainty, at least 0.
+        front: Returns the boxes below the reference point that the evaluations do not dominate;
+            they are built when it is called.
+        truncation: Truncation box (A, B), `(P,)` each, with B the reference point; None if there
+            is none.
+    """
+
+    models: tuple[Model, ...]
+    values: FloatArray
+    reference: FloatArray
+    beta: float
+    front: Callable[[], BoxDecomposition]
+    truncation: tuple[FloatArray, FloatArray] | None = None
+
+
+class ObjectiveAcquisition(AcquisitionFunction):
+    """An acquisition function of the objectives, which can be chosen by its name.
+
+    Attributes:
+        single_objective: Whether it takes a single objective, so that a problem of several needs
+            weights.
+    """
+
+    single_objective: ClassVar[bool] = False
+
+    @classmethod
+    @abstractmethod
+    def of(cls, knowledge: Knowledge) -> Self:
+        """Return the acquisition function after what is known so far."""
+
+
+ACQUISITION_FUNCTIONS = Registry[ObjectiveAcquisition](
+    "acquisition", "mobo_tuner.acquisition_functions", ObjectiveAcquisition
+)
+
+
+@ACQUISITION_FUNCTIONS.register("ei")
+class ExpectedImprovement(ObjectiveAcquisition):
     """E[max(best - f, 0)], `[Roussel2021]_` alpha_EI, finite in the logarithm at any distance."""
+
+    single_objective = True
 
     def __init__(self, model: Model, best: float) -> None:
         """Set the value to improve on.
@@ -145,6 +199,12 @@ class ExpectedImprovement(AcquisitionFunction):
         """
         self._model = model
         self._best = _finite(best, "best")
+
+    @classmethod
+    def of(cls, knowledge: Knowledge) -> Self:
+        """Return the improvement on the best value so far, or on the reference without one."""
+        values = knowledge.values if len(knowledge.values) else knowledge.reference
+        return cls(knowledge.models[0], float(values.min()))
 
     def log_value_from(self, predictions: Predictions) -> FloatArray:
         """Return log alpha `(m,)`."""
@@ -182,13 +242,16 @@ class ExpectedImprovement(AcquisitionFunction):
         )
 
 
-class UpperConfidenceBound(AcquisitionFunction):
+@ACQUISITION_FUNCTIONS.register("ucb")
+class UpperConfidenceBound(ObjectiveAcquisition):
     """max(reference - (mean - sqrt(beta) stddev), 0), `[Roussel2021]_` alpha_UCB for minimisation.
 
     The paper's function has no zero, which a product with a probability needs. Here it is measured
     from a reference, above which a value is worth nothing: the largest value is where it was. It is
     the UCB-HVI of one objective with an empty front.
     """
+
+    single_objective = True
 
     def __init__(self, model: Model, beta: float, reference: float) -> None:
         """Set exploration and reference.
@@ -202,6 +265,11 @@ class UpperConfidenceBound(AcquisitionFunction):
         self._model = model
         self._width = math.sqrt(_at_least_zero(beta, "beta"))
         self._reference = _finite(reference, "reference")
+
+    @classmethod
+    def of(cls, knowledge: Knowledge) -> Self:
+        """Return the bound measured from the reference point."""
+        return cls(knowledge.models[0], knowledge.beta, float(knowledge.reference[0]))
 
     def log_value_from(self, predictions: Predictions) -> FloatArray:
         """Return log alpha `(m,)`."""
@@ -217,7 +285,7 @@ class UpperConfidenceBound(AcquisitionFunction):
         return _log_with_gradient(value, self._width * stddev_gradient - mean_gradient)
 
 
-class _HypervolumeAcquisition(AcquisitionFunction):
+class _HypervolumeAcquisition(ObjectiveAcquisition):
     """What the acquisition functions on the hypervolume share: models, front, truncation box."""
 
     def __init__(
@@ -260,6 +328,7 @@ class _HypervolumeAcquisition(AcquisitionFunction):
         return mean, stddev, mean_gradient, stddev_gradient
 
 
+@ACQUISITION_FUNCTIONS.register("ehvi")
 class ExpectedHypervolumeImprovement(_HypervolumeAcquisition):
     """EHVI, exact for any number of objectives: `[Roussel2021]_` Eq. (eqn:EHVI) and alpha_TEHVI."""
 
@@ -282,6 +351,11 @@ class ExpectedHypervolumeImprovement(_HypervolumeAcquisition):
         """
         super().__init__(models, decomposition, truncation)
 
+    @classmethod
+    def of(cls, knowledge: Knowledge) -> Self:
+        """Return the expected improvement of the front so far."""
+        return cls(knowledge.models, knowledge.front(), knowledge.truncation)
+
     def log_value_from(self, predictions: Predictions) -> FloatArray:
         """Return log alpha `(m,)`."""
         mean, stddev = self._moments(predictions)
@@ -300,6 +374,7 @@ class ExpectedHypervolumeImprovement(_HypervolumeAcquisition):
         return _log_with_gradient(value, gradient)
 
 
+@ACQUISITION_FUNCTIONS.register("ucb_hvi")
 class UpperConfidenceBoundHypervolumeImprovement(_HypervolumeAcquisition):
     """UCB-HVI: the improvement by mean - sqrt(beta) stddev, `[Roussel2021]_` alpha_UCB-HVI.
 
@@ -326,6 +401,11 @@ class UpperConfidenceBoundHypervolumeImprovement(_HypervolumeAcquisition):
         """
         super().__init__(models, decomposition, truncation)
         self._width = math.sqrt(_at_least_zero(beta, "beta"))
+
+    @classmethod
+    def of(cls, knowledge: Knowledge) -> Self:
+        """Return the optimistic improvement of the front so far."""
+        return cls(knowledge.models, knowledge.front(), knowledge.beta, knowledge.truncation)
 
     def log_value_from(self, predictions: Predictions) -> FloatArray:
         """Return log alpha `(m,)`."""

@@ -15,16 +15,19 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import qmc
 
 from mobo_tuner.core.acquisition import AcquisitionFunction
 from mobo_tuner.core.ascent import climb_by_curvature, climb_by_signs
 from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.registry import Registry
+from mobo_tuner.errors import ParameterError
+from mobo_tuner.parameter_spec import check_fields, parameter, specs_of, unknown
 
 _CHUNK = 128
 
@@ -44,8 +47,20 @@ class Maximum:
     complete: bool
 
 
+@dataclass(frozen=True)
 class Maximizer(ABC):
-    """A way of looking for the maximum of an acquisition function."""
+    """A way of looking for the maximum of an acquisition function.
+
+    The fields of a subclass, a frozen dataclass, are the settings that a parameter file may give
+    as `maximizer_settings`.
+
+    Raises:
+        ParameterError: If a setting is of another type or not allowed.
+    """
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        check_fields(self)
 
     def maximize(
         self,
@@ -79,15 +94,19 @@ class Maximizer(ABC):
         Raises:
             ValueError: if an argument does not fit.
         """
-        search = _Search(acquisition, n_variables, excluded, tolerance, seconds)
+        search = Search(acquisition, n_variables, excluded, tolerance, seconds)
         seeds = _as_rows(starts, "starts", n_variables)
-        return search.run(lambda: self._explore(search, seeds, rng))
+        return search.run(lambda: self.explore(search, seeds, rng))
 
     @abstractmethod
-    def _explore(self, search: _Search, seeds: FloatArray, rng: np.random.Generator) -> None:
+    def explore(self, search: Search, seeds: FloatArray, rng: np.random.Generator) -> None:
         """Evaluate points by `search`, which keeps the best; `seeds` `(k, d)` are promising ones."""
 
 
+MAXIMIZERS = Registry[Maximizer]("maximizer", "mobo_tuner.maximizers", Maximizer)
+
+
+@MAXIMIZERS.register("particle_swarm")
 @dataclass(frozen=True)
 class ParticleSwarm(Maximizer):
     """Generational particle swarm, as in `[Roussel2021]_`: 64 individuals, 10 generations.
@@ -95,24 +114,31 @@ class ParticleSwarm(Maximizer):
     Velocities follow the canonical rule with constriction; every particle is drawn to its own best
     point and to the best of its neighbours on a ring. The coefficients are the defaults of the
     paper's tool `[Biscani2020]_`.
-
-    Attributes:
-        population: particles; `starts` take the places of the first of them, at most half.
-        generations: moves of the whole swarm.
-        constriction: factor of the velocity.
-        attraction: weight of both attractors.
-        largest_step: in any variable, as a share of its range.
-        neighbours: on the ring, half of them to either side.
     """
 
-    population: int = 64
-    generations: int = 10
-    constriction: float = 0.7298
-    attraction: float = 2.05
-    largest_step: float = 0.5
-    neighbours: int = 4
+    population: int = parameter(
+        64,
+        "Particles; set-points of the front take the places of at most half of them.",
+        minimum=2,
+        maximum=100_000,
+    )
+    generations: int = parameter(10, "Moves of the whole swarm.", minimum=0, maximum=100_000)
+    constriction: float = parameter(0.7298, "Factor of the velocity.", minimum=0.0, maximum=1.0)
+    attraction: float = parameter(
+        2.05,
+        "Weight of a particle's own best point and of its neighbours'.",
+        minimum=0.0,
+        maximum=10.0,
+    )
+    largest_step: float = parameter(
+        0.5, "Largest step in any variable, as a share of its range.", minimum=1e-6, maximum=1.0
+    )
+    neighbours: int = parameter(
+        4, "Neighbours on the ring, half of them to either side.", minimum=0, maximum=100_000
+    )
 
-    def _explore(self, search: _Search, seeds: FloatArray, rng: np.random.Generator) -> None:
+    def explore(self, search: Search, seeds: FloatArray, rng: np.random.Generator) -> None:
+        """Let the swarm fly."""
         shape = (self.population, search.n_variables)
         fastest = 2.0 * self.largest_step
         x = rng.uniform(-1.0, 1.0, shape)
@@ -137,6 +163,7 @@ class ParticleSwarm(Maximizer):
             own_best[better], own_value[better] = x[better], value[better]
 
 
+@MAXIMIZERS.register("multi_start")
 @dataclass(frozen=True)
 class MultiStart(Maximizer):
     """Gradient ascent from many starts that are far from each other.
@@ -144,39 +171,69 @@ class MultiStart(Maximizer):
     The best points by value alone all lie in one basin. Therefore the screened points are thinned
     out before a few common steps along the signs of their gradients, and thinned out again before
     the best ones climb to their maxima, on the logarithm of the acquisition function.
-
-    Attributes:
-        screened: quasi-random points over the whole box, rounded up to a power of two.
-        overshoot: factor by which these reach beyond the box before they are moved to its edge; at
-            1.5 a third of the values are at a bound, where maxima often lie.
-        screened_nearby: random points around `starts`.
-        nearby: standard deviation of these, in a range of 2.
-        far_starts: starts kept of the quasi-random points, `far_apart` from each other.
-        near_starts: starts kept of the points around `starts`, `near_apart` from each other.
-        far_apart: smallest distance in the largest component.
-        near_apart: smallest distance in the largest component.
-        steps: common steps of all starts.
-        finished: starts that climb on, `near_apart` from each other.
-        behind: how far the logarithm of a start may lie behind the best one's to climb on.
-        evaluations: most of each start that climbs on.
-        tolerance: of the logarithm at a maximum.
     """
 
-    screened: int = 512
-    overshoot: float = 1.5
-    screened_nearby: int = 512
-    nearby: float = 0.15
-    far_starts: int = 16
-    near_starts: int = 32
-    far_apart: float = 0.5
-    near_apart: float = 0.1
-    steps: int = 6
-    finished: int = 8
-    behind: float = 0.1
-    evaluations: int = 30
-    tolerance: float = 1e-4
+    screened: int = parameter(
+        512,
+        "Quasi-random points over the whole box, rounded up to a power of two.",
+        minimum=1,
+        maximum=1_000_000,
+    )
+    overshoot: float = parameter(
+        1.5,
+        "Factor by which these reach beyond the box before they are moved to its edge; at 1.5 a "
+        "third of the values are at a bound, where maxima often lie.",
+        minimum=1.0,
+        maximum=100.0,
+    )
+    screened_nearby: int = parameter(
+        512, "Random points around the front's set-points.", minimum=1, maximum=1_000_000
+    )
+    nearby: float = parameter(
+        0.15, "Standard deviation of these, where a variable spans 2.", minimum=0.0, maximum=2.0
+    )
+    far_starts: int = parameter(
+        16, "Starts kept of the quasi-random points.", minimum=1, maximum=100_000
+    )
+    near_starts: int = parameter(
+        32, "Starts kept of the points around the front's.", minimum=0, maximum=100_000
+    )
+    far_apart: float = parameter(
+        0.5,
+        "Least difference of the former in some variable, where a variable spans 2.",
+        minimum=0.0,
+        maximum=2.0,
+    )
+    near_apart: float = parameter(
+        0.1,
+        "Least difference of the latter in some variable, where a variable spans 2.",
+        minimum=0.0,
+        maximum=2.0,
+    )
+    steps: int = parameter(
+        6,
+        "Common steps of all starts along the signs of their gradients.",
+        minimum=0,
+        maximum=10_000,
+    )
+    finished: int = parameter(8, "Starts that climb on to a maximum.", minimum=1, maximum=10_000)
+    behind: float = parameter(
+        0.1,
+        "Greatest lag of a start's logarithm behind the best one's to climb on.",
+        minimum=0.0,
+        maximum=1e6,
+    )
+    evaluations: int = parameter(
+        30, "Most evaluations of each start that climbs on.", minimum=1, maximum=100_000
+    )
+    tolerance: float = parameter(
+        1e-4, "Tolerance of the logarithm at a maximum.", minimum=1e-15, maximum=1.0
+    )
 
-    def _explore(self, search: _Search, seeds: FloatArray, rng: np.random.Generator) -> None:
+    def explore(self, search: Search, seeds: FloatArray, rng: np.random.Generator) -> None:
+        """Screen, step along signs, and climb."""
+        from scipy.stats import qmc  # takes half a second, which a check of settings can spare
+
         d = search.n_variables
         x = np.empty((0, d))
         if len(seeds):
@@ -197,12 +254,29 @@ class MultiStart(Maximizer):
             climb_by_curvature(search.values_with_gradient, best, self.evaluations, self.tolerance)
 
 
+def make_maximizer(name: str, settings: Mapping[str, Any]) -> Maximizer:
+    """Return the maximiser of a name with some of its settings.
+
+    Raises:
+        ParameterError: If the name or a setting is unknown, or a setting is not allowed.
+    """
+    kind = MAXIMIZERS.find(name)
+    specs = {spec.name: spec for spec in specs_of(kind)}
+    for setting in settings:
+        if setting not in specs:
+            raise ParameterError(unknown(setting, specs, f"maximizer_settings of '{name}'"))
+    return kind(**{n: specs[n].check(v, "maximizer_settings.") for n, v in settings.items()})
+
+
 class _OutOfTimeError(Exception):
     """The time budget is spent."""
 
 
-class _Search:
-    """Evaluates an acquisition function, watches the clock and keeps the best allowed candidate."""
+class Search:
+    """What a `Maximizer` evaluates by.
+
+    It evaluates an acquisition function, watches the clock and keeps the best allowed candidate.
+    """
 
     def __init__(
         self,

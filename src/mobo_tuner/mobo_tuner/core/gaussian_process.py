@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
-from mobo_tuner.core.kernels import Kernel, as_inputs, make_kernel
+from mobo_tuner.core.kernels import Kernel, as_inputs
 from mobo_tuner.core.linear_algebra import FloatArray, single_blas_thread
 from mobo_tuner.core.output_scaling import OutputScaling
 from mobo_tuner.core.posterior import Posterior
@@ -77,18 +77,30 @@ class GaussianProcess:
     Args:
         settings: what is modelled how.
         reference: the reference point's component, needed by mean="reference".
+        mean: prior mean as a function from inputs `(n, d)` to outputs `(n,)`, in place of the
+            settings' mean and transform.
+        mean_gradient: its gradient, from inputs `(m, d)` to `(m, d)`; central differences without
+            it.
 
     Raises:
-        ValueError: the reference is missing or not finite.
+        ValueError: the reference is missing or not finite, or there is a gradient without a mean.
     """
 
     def __init__(
-        self, settings: GaussianProcessSettings | None = None, reference: float | None = None
+        self,
+        settings: GaussianProcessSettings | None = None,
+        reference: float | None = None,
+        *,
+        mean: MeanFunction | None = None,
+        mean_gradient: MeanFunction | None = None,
     ) -> None:
         self.settings = settings or GaussianProcessSettings()
+        if mean is None and mean_gradient is not None:
+            raise ValueError("mean_gradient needs a mean function")
+        self._mean, self._mean_gradient = mean, mean_gradient
         if reference is not None and not np.isfinite(reference):
             raise ValueError(f"reference must be finite, got {reference}")
-        if reference is None and self.settings.mean == "reference":
+        if reference is None and mean is None and self.settings.mean == "reference":
             raise ValueError("reference must be given with mean='reference'")
         self.reference = None if reference is None else float(reference)
         self._trained: dict[str, FloatArray] = {}
@@ -124,7 +136,7 @@ class GaussianProcess:
         """
         d = None if self._state is None else self._state.posterior.kernel.d
         inputs, outputs, noise = _checked_data(x, y, stddev, d)
-        kernel = make_kernel(self.settings.kernel, inputs.shape[1])
+        kernel = self.settings.make_kernel(inputs.shape[1])
         generator = np.random.default_rng(0) if rng is None else rng
         starts = self.settings.restarts if restarts is None else restarts
         states = []
@@ -286,6 +298,7 @@ class GaussianProcess:
         state: dict[str, Any] = {
             "settings": self.settings.to_dict(),
             "reference": self.reference,
+            "mean_function": self._mean is not None,
             "trained": {name: parameters.tolist() for name, parameters in self._trained.items()},
             "fitted": None,
         }
@@ -326,12 +339,14 @@ class GaussianProcess:
         Raises:
             ValueError: the observations do not suit the state, or a mean function is missing.
         """
-        settings = GaussianProcessSettings.from_dict(state["settings"], mean, mean_gradient)
-        restored = cls(settings, state["reference"])
+        if state["mean_function"] != (mean is not None):
+            raise ValueError("mean must be given if and only if the model was made with one")
+        settings = GaussianProcessSettings.from_dict(state["settings"])
+        restored = cls(settings, state["reference"], mean=mean, mean_gradient=mean_gradient)
         fitted = state["fitted"]
         if fitted is None:
             return restored
-        kernel = make_kernel(settings.kernel, fitted["d"])
+        kernel = settings.make_kernel(fitted["d"])
         restored._trained = {
             name: _hyperparameters(values, kernel) for name, values in state["trained"].items()
         }
@@ -347,8 +362,8 @@ class GaussianProcess:
             bool(fitted["log"]),
             float(fitted["offset"]),
             float(fitted["scale"]),
-            settings.mean_function,
-            settings.mean_gradient,
+            mean,
+            mean_gradient,
         )
         model = _Model(fitted["model"], scaling, _hyperparameters(fitted["parameters"], kernel))
         with single_blas_thread():
@@ -388,15 +403,9 @@ class GaussianProcess:
     def _scalings(self, x: FloatArray, y: FloatArray) -> list[tuple[str, OutputScaling]]:
         """The ways to model these outputs that the settings allow, by name; at least one."""
         settings, reference = self.settings, self.reference
-        if callable(settings.mean):
-            return [
-                (
-                    "function",
-                    OutputScaling.of(
-                        x, y, mean=settings.mean, mean_gradient=settings.mean_gradient
-                    ),
-                )
-            ]
+        if self._mean is not None:
+            scaling = OutputScaling.of(x, y, mean=self._mean, mean_gradient=self._mean_gradient)
+            return [("function", scaling)]
         offsets: dict[str, float | None]
         if settings.mean == "auto":
             offsets = (

@@ -1,185 +1,150 @@
-"""What may be chosen about a Gaussian process."""
+"""The choices for a Gaussian process."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal, get_args
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Self
 
 import numpy as np
 
-from mobo_tuner.core.kernels import KernelName
+from mobo_tuner.core.kernels import KERNELS, Kernel
 from mobo_tuner.core.linear_algebra import FloatArray
+from mobo_tuner.errors import ParameterError
+from mobo_tuner.parameter_spec import check_fields, parameter
 
 MeanFunction = Callable[[FloatArray], FloatArray]
-MeanName = Literal["data", "reference", "auto"]
-TrainingName = Literal["lbfgs", "adam"]
-TransformName = Literal["none", "log", "auto"]
-PriorName = Literal["weak", "none"]
 
 
 @dataclass(frozen=True)
 class GaussianProcessSettings:
     """Choices for one `GaussianProcess`; given hyperparameters are held, the others are trained.
 
-    Attributes:
-        kernel: covariance function, see `kernels`.
-        mean: prior mean: of the data, at the reference point (`[Roussel2021]_`, text after Eq.
-            (eqn:EHVI)), whichever of the two predicts left-out observations better ("auto"; the
-            data mean where there is no reference), a constant in the output's units, or a function
-            from inputs `(n, d)` to outputs `(n,)`.
-        mean_gradient: gradient of a mean function, from inputs `(m, d)` to `(m, d)`; central
-            differences without it.
-        noise: "learned", or the standard deviation of one observation in the output's units.
-            Standard deviations given with the observations are added in quadrature to either.
-        minimum_noise: least noise variance, as a share of the variance of the outputs.
-        length_scales: held length-scales in normalised inputs: one for all or one for each; None to
-            train them.
-        precision: held precision matrix, rows of `(d, d)`, for kernel "rbf_full"; None to train it.
-        variance: held signal variance s^2 in the output's units squared; None to train it.
-        training: "lbfgs" (analytic gradient, restarts) or "adam" with a fixed number of steps, as
-            in the paper.
-        prior: "weak" priors of the hyperparameters, or "none" for plain maximum likelihood.
-        restarts: random starts beside the warm one, for "lbfgs".
-        adam_rate: learning rate of "adam".
-        adam_steps: number of steps of "adam" in the first training.
-        adam_retraining_steps: number of steps in every later one.
-        transform: "log" models the logarithm of an output as long as all its observations are
-            positive; "auto" does so where left-out observations are clearly better predicted;
-            "none" never.
+    The fields say what they mean; docs/parameters.md lists them.
+
+    Raises:
+        ParameterError: If a choice is not allowed, or two do not go together.
     """
 
-    kernel: KernelName = "matern52"
-    mean: MeanName | float | MeanFunction = "data"
-    mean_gradient: MeanFunction | None = None
-    noise: Literal["learned"] | float = "learned"
-    minimum_noise: float = 1e-9
-    length_scales: float | tuple[float, ...] | None = None
-    precision: tuple[tuple[float, ...], ...] | None = None
-    variance: float | None = None
-    training: TrainingName = "lbfgs"
-    prior: PriorName = "weak"
-    restarts: int = 1
-    adam_rate: float = 0.001
-    adam_steps: int = 5000
-    adam_retraining_steps: int = 1000
-    transform: TransformName = "none"
+    kernel: str = parameter("matern52", "Kernel of the models.", choices=KERNELS)
+    mean: str | float = parameter(
+        "auto",
+        "Prior mean: the mean of the data, the reference point, whichever of the two predicts "
+        "left-out evaluations better (`auto`), or a number in the output's unit.",
+        choices=("auto", "data", "reference"),
+    )
+    noise: str | float = parameter(
+        "learned",
+        "Standard deviation of one measurement in the output's unit, beside the one that comes "
+        "with it.",
+        choices=("learned",),
+        minimum=0.0,
+    )
+    minimum_noise: float = parameter(
+        1e-9,
+        "Least noise variance, as a share of the variance of the output.",
+        minimum=1e-14,
+        maximum=1.0,
+    )
+    length_scales: float | tuple[float, ...] | None = parameter(
+        None,
+        "Held length-scales, one for all variables or one for each, where a variable spans 2; "
+        "null trains them.",
+        minimum=1e-6,
+        maximum=1e6,
+    )
+    precision: tuple[float, ...] | None = parameter(
+        None,
+        "Held precision matrix of kernel rbf_full, row by row, where a variable spans 2; null "
+        "trains it.",
+        matrix=True,
+    )
+    variance: float | None = parameter(
+        None,
+        "Held signal variance in the output's unit squared; null trains it.",
+        minimum=1e-300,
+    )
+    training: str = parameter(
+        "lbfgs",
+        "Training of the hyperparameters: a quasi-Newton method with restarts, or the paper's "
+        "Adam with a fixed number of steps.",
+        choices=("lbfgs", "adam"),
+    )
+    prior: str = parameter(
+        "weak",
+        "Priors of the hyperparameters; none maximises the likelihood alone.",
+        choices=("weak", "none"),
+    )
+    restarts: int = parameter(
+        1,
+        "Random starts of a training with lbfgs, beside the last optimum.",
+        minimum=0,
+        maximum=100,
+    )
+    adam_rate: float = parameter(0.001, "Learning rate of adam.", minimum=1e-12, maximum=1.0)
+    adam_steps: int = parameter(
+        5000, "Steps of adam in the first training.", minimum=0, maximum=1_000_000
+    )
+    adam_retraining_steps: int = parameter(
+        1000, "Steps of adam in every later training.", minimum=0, maximum=1_000_000
+    )
+    transform: str = parameter(
+        "none",
+        "Model the logarithm of an output whose values are all positive: never, always, or "
+        "(`auto`) where it predicts left-out evaluations clearly better.",
+        choices=("none", "log", "auto"),
+    )
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be meant, with a ValueError that names the setting."""
-        for name, choices in _CHOICES.items():
-            if getattr(self, name) not in choices:
-                raise ValueError(
-                    f"{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}"
-                )
-        self._check_mean()
-        if self.noise != "learned":
-            _check_number("noise", self.noise, least=0.0)
-        _check_number("minimum_noise", self.minimum_noise, least=1e-14, most=1.0)
-        if self.variance is not None:
-            _check_number("variance", self.variance, least=np.finfo(float).tiny)
-        _check_number("adam_rate", self.adam_rate, least=np.finfo(float).tiny)
-        for name in ("restarts", "adam_steps", "adam_retraining_steps"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-                raise ValueError(f"{name} must be a whole number of at least 0, got {value!r}")
-        self._check_shape()
-
-    def _check_mean(self) -> None:
-        if callable(self.mean):
-            if self.transform != "none":
-                raise ValueError(
-                    f"transform must be 'none' with a mean function, got {self.transform!r}"
-                )
-            return
-        if self.mean_gradient is not None:
-            raise ValueError("mean_gradient needs a mean function")
-        if isinstance(self.mean, str):
-            if self.mean not in get_args(MeanName):
-                raise ValueError(
-                    f"mean must be {', '.join(get_args(MeanName))}, a number or a function, "
-                    f"got {self.mean!r}"
-                )
-        else:
-            _check_number("mean", self.mean)
-
-    def _check_shape(self) -> None:
+        """Check every choice, then those that depend on each other."""
+        check_fields(self)
+        KERNELS.find(self.kernel)
         if self.precision is not None:
-            if self.kernel != "rbf_full" or self.length_scales is not None:
-                raise ValueError("precision needs kernel 'rbf_full' and excludes length_scales")
-            try:
-                matrix = np.array(self.precision, dtype=np.float64)
-            except (TypeError, ValueError):
-                matrix = np.empty(0)
-            if not (
-                matrix.ndim == 2
-                and matrix.shape[0] == matrix.shape[1]
-                and np.isfinite(matrix).all()
-                and np.allclose(matrix, matrix.T)
-                and np.linalg.eigvalsh(matrix)[0] > 0.0
-            ):
-                raise ValueError("precision must be a symmetric positive definite square matrix")
-        if self.length_scales is not None:
-            scales = (
-                self.length_scales
-                if isinstance(self.length_scales, Sequence)
-                else (self.length_scales,)
-            )
-            for scale in scales:
-                _check_number("length_scales", scale, least=1e-6, most=1e6)
-            if self.kernel == "rbf_isotropic" and len(scales) != 1:
-                raise ValueError(
-                    f"length_scales of kernel 'rbf_isotropic' must be one number, got {len(scales)}"
+            if self.length_scales is not None:
+                raise ParameterError("precision and length_scales are given; one is allowed")
+            if not _is_positive_definite(self.precision):
+                raise ParameterError(
+                    f"precision is {self.precision}; the rows of a symmetric positive definite "
+                    "matrix are allowed"
                 )
 
-    @property
-    def mean_function(self) -> MeanFunction | None:
-        """The prior mean where it is a function."""
-        return self.mean if callable(self.mean) else None
+    def make_kernel(self, d: int) -> Kernel:
+        """Return the kernel for d inputs."""
+        return KERNELS.find(self.kernel)(d)
+
+    def held_shape(self, kernel: Kernel) -> FloatArray | None:
+        """Return the shape parameters `(k,)` that are held; None if they are trained.
+
+        Raises:
+            ValueError: If the length-scales or the precision matrix do not suit the kernel.
+        """
+        if self.precision is not None:
+            size = math.isqrt(len(self.precision))
+            if size != kernel.d:
+                raise ValueError(
+                    f"precision must be a {kernel.d} by {kernel.d} matrix for {kernel.d} inputs, "
+                    f"got {size} rows"
+                )
+            return kernel.from_precision(np.reshape(self.precision, (size, size)))
+        if self.length_scales is not None:
+            return kernel.from_length_scales(np.ravel(np.asarray(self.length_scales)))
+        return None
 
     def to_dict(self) -> dict[str, Any]:
-        """The settings as plain data; a mean function appears as the word "function"."""
-        values = asdict(
-            replace(self, mean=0.0, mean_gradient=None) if callable(self.mean) else self
-        )
-        del values["mean_gradient"]
-        if callable(self.mean):
-            values["mean"] = "function"
-        return values
+        """Return the settings as plain data for JSON."""
+        return asdict(self)
 
     @classmethod
-    def from_dict(
-        cls,
-        values: dict[str, Any],
-        mean: MeanFunction | None = None,
-        mean_gradient: MeanFunction | None = None,
-    ) -> GaussianProcessSettings:
-        """Inverse of `to_dict`, also through JSON; a mean function must be given again."""
-        values = dict(values)
-        if values.get("mean") == "function":
-            if mean is None:
-                raise ValueError("mean must be given: the settings were made with a mean function")
-            values.update(mean=mean, mean_gradient=mean_gradient)
-        for name in ("length_scales", "precision"):
-            if isinstance(values.get(name), list):
-                values[name] = tuple(tuple(v) if isinstance(v, list) else v for v in values[name])
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Return the settings that `to_dict` came from, also after a passage through JSON."""
         return cls(**values)
 
 
-_CHOICES: dict[str, tuple[str, ...]] = {
-    "kernel": get_args(KernelName),
-    "training": get_args(TrainingName),
-    "prior": get_args(PriorName),
-    "transform": get_args(TransformName),
-}
-
-
-def _check_number(name: str, value: object, least: float = -np.inf, most: float = np.inf) -> None:
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | float | np.number)
-        or not (np.isfinite(value) and least <= value <= most)
-    ):
-        bounds = f" of at least {least:g}" if np.isfinite(least) else ""
-        bounds += f" and at most {most:g}" if np.isfinite(most) else ""
-        raise ValueError(f"{name} must be a finite number{bounds}, got {value!r}")
+def _is_positive_definite(entries: tuple[float, ...]) -> bool:
+    """Whether the rows of a matrix, one after the other, make a positive definite one."""
+    size = math.isqrt(len(entries))
+    if size * size != len(entries):
+        return False
+    matrix = np.reshape(entries, (size, size))
+    return bool(np.allclose(matrix, matrix.T) and np.linalg.eigvalsh(matrix)[0] > 0.0)

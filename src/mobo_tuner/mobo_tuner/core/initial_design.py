@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
-from scipy.stats import qmc
 
 from mobo_tuner.core.problem import Array
 
-Design = Literal["latin_hypercube", "random"]
+DESIGNS = ("latin_hypercube", "random")
 
 
-def initial_design(kind: Design, n: int, d: int, seed: int) -> Array:
+def initial_design(kind: str, n: int, d: int, seed: int) -> Array:
     """Draw `n` points of ``[-1, 1]^d``, shape ``(n, d)``.
 
     `latin_hypercube` spreads the points along each axis ([Roussel2021]_, section
     subsec:convergence); `random` draws them uniformly (its toy problem). The points depend on the
     arguments alone.
     """
+    from scipy.stats import qmc  # takes half a second, which a check of settings can spare
+
     rng = np.random.default_rng([seed, 0])
     spread = kind == "latin_hypercube"
     unit = qmc.LatinHypercube(d, rng=rng).random(n) if spread else rng.random((n, d))

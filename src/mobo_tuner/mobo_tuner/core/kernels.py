@@ -21,14 +21,13 @@ in units of the normalised inputs, where each variable spans [-1, 1].
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mobo_tuner.core.linear_algebra import FloatArray
-
-KernelName = Literal["rbf_isotropic", "rbf", "rbf_full", "matern52"]
+from mobo_tuner.core.registry import Registry
 
 SHORTEST_LENGTH_SCALE = 0.05
 LONGEST_LENGTH_SCALE = 100.0
@@ -109,6 +108,22 @@ class Kernel(ABC):
     def prior(self) -> ShapePrior:
         """Weakly informative prior of the parameters."""
 
+    def from_length_scales(self, length_scales: FloatArray) -> FloatArray:
+        """Return the parameters `(k,)` of given length-scales, `(1,)` for all inputs or `(d,)`.
+
+        Raises:
+            ValueError: If the kernel has no such parameters.
+        """
+        raise ValueError(f"length_scales cannot be held, got {length_scales}")
+
+    def from_precision(self, precision: FloatArray) -> FloatArray:
+        """Return the parameters `(k,)` of a given positive definite Lambda `(d, d)`.
+
+        Raises:
+            ValueError: If the kernel has no such parameters.
+        """
+        raise ValueError(f"precision needs kernel 'rbf_full', got {precision.tolist()}")
+
     def gradient(self, parameters: FloatArray, x: FloatArray, weights: FloatArray) -> FloatArray:
         """Gradient `(k,)` of `sum_ij C_ij g(r_ij^2)` in the parameters, x `(n, d)`, O(n^2 d).
 
@@ -124,6 +139,9 @@ class Kernel(ABC):
         # sum_ij W_ij (x_i - x_j)(x_i - x_j)^T, with d g / d Lambda = -w / 2 times that product.
         scatter = (x.T * row_sums) @ x - moment - moment.T
         return self.pull_back(parameters, -0.5 * scatter)
+
+
+KERNELS = Registry[Kernel]("kernel", "mobo_tuner.kernels", Kernel)
 
 
 def as_inputs(x: ArrayLike, d: int | None = None) -> FloatArray:
@@ -145,6 +163,7 @@ def squared_distances(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.maximum(products, 0.0, out=products)
 
 
+@KERNELS.register("rbf")
 class RBF(Kernel):
     """Anisotropic radial basis function, `[Roussel2021]_` Eq. (eqn:RBF) with `Lambda = diag(l)^-2`.
 
@@ -183,7 +202,17 @@ class RBF(Kernel):
         """Around `typical_log_length_scale`."""
         return ShapePrior(self.default_parameters(), np.full(self.size, _LENGTH_SCALE_SPREAD))
 
+    def from_length_scales(self, length_scales: FloatArray) -> FloatArray:
+        """Their logarithms."""
+        if len(length_scales) not in (1, self.size):
+            allowed = "one number" if self.size == 1 else f"one number or {self.size}"
+            raise ValueError(
+                f"length_scales must be {allowed} for {self.d} inputs, got {len(length_scales)}"
+            )
+        return np.broadcast_to(np.log(length_scales), (self.size,))
 
+
+@KERNELS.register("rbf_isotropic")
 class RBFIsotropic(RBF):
     """Isotropic radial basis function, `[Roussel2021]_` Eq. (eqn:RBF) with `Lambda = I / lambda^2`.
 
@@ -206,6 +235,7 @@ class RBFIsotropic(RBF):
         return np.asarray(-2.0 * np.exp(-2.0 * parameters) * np.trace(precision_gradient))
 
 
+@KERNELS.register("matern52")
 class Matern52(RBF):
     """Anisotropic Matern function of smoothness 5/2, `[Rasmussen2006]_` Eq. (4.17).
 
@@ -228,6 +258,7 @@ class Matern52(RBF):
         return value, slope
 
 
+@KERNELS.register("rbf_full")
 class RBFFull(Kernel):
     """Radial basis function with a full precision matrix, `[Roussel2021]_` (sec:regression).
 
@@ -258,8 +289,17 @@ class RBFFull(Kernel):
         diagonal = np.diag(np.exp(parameters[len(self._rows) :]))
         return np.asarray(triangle @ triangle.T + diagonal)
 
-    def parameters_of(self, precision: FloatArray) -> FloatArray:
-        """Parameters `(k,)` of a given positive definite Lambda `(d, d)`.
+    def from_length_scales(self, length_scales: FloatArray) -> FloatArray:
+        """Those of the diagonal Lambda."""
+        if len(length_scales) not in (1, self.d):
+            raise ValueError(
+                f"length_scales must be one number or {self.d} for {self.d} inputs, "
+                f"got {len(length_scales)}"
+            )
+        return self.from_precision(np.eye(self.d) / length_scales**2)
+
+    def from_precision(self, precision: FloatArray) -> FloatArray:
+        """Those of any Lambda.
 
         The least eigenvalue, halved, makes the diagonal l and what is left makes the triangle.
         """
@@ -305,19 +345,6 @@ class RBFFull(Kernel):
             np.concatenate([np.zeros(m), np.full(self.d, -2.0 * typical_log_length_scale(self.d))]),
             np.concatenate([np.ones(m), np.full(self.d, 2.0 * _LENGTH_SCALE_SPREAD)]),
         )
-
-
-_KERNELS: dict[KernelName, type[Kernel]] = {
-    "rbf_isotropic": RBFIsotropic,
-    "rbf": RBF,
-    "rbf_full": RBFFull,
-    "matern52": Matern52,
-}
-
-
-def make_kernel(name: KernelName, d: int) -> Kernel:
-    """The kernel of that name for d inputs."""
-    return _KERNELS[name](d)
 
 
 def precision_from_hessian(hessian: ArrayLike, amplitude: float) -> FloatArray:

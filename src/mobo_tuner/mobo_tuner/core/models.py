@@ -12,9 +12,9 @@ import numpy as np
 
 from mobo_tuner.core.dataset import BoolArray, Dataset
 from mobo_tuner.core.gaussian_process import GaussianProcess
-from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
-from mobo_tuner.core.presets import OptimizerSettings
+from mobo_tuner.core.gaussian_process_settings import MeanFunction
 from mobo_tuner.core.problem import LARGEST, Array, Problem, ProblemError
+from mobo_tuner.core.settings import OptimizerSettings
 from mobo_tuner.core.validity import ValidityModel
 
 PriorMean = Callable[[Mapping[str, Array]], Array]
@@ -53,16 +53,14 @@ class Models:
         self._means = {n: self._mean_function(n, f) for n, f in (prior_means or {}).items()}
         process = settings.gaussian_process
         self._processes = {
-            o.name: GaussianProcess(
-                self._with_prior_mean(process, o.name), reference=o.sign * o.reference
-            )
+            o.name: GaussianProcess(process, o.sign * o.reference, mean=self._means.get(o.name))
             for o in problem.objectives
         }
         # A constrained diagnostic has no reference point; its mean is that of the data.
         constrained = replace(process, mean="data") if process.mean == "reference" else process
         for name in problem.required_diagnostics:
             if name not in self._processes:
-                self._processes[name] = GaussianProcess(self._with_prior_mean(constrained, name))
+                self._processes[name] = GaussianProcess(constrained, mean=self._means.get(name))
         for name in self._means:
             if name not in self._processes:
                 raise ProblemError(
@@ -96,13 +94,6 @@ class Models:
             return sign * values
 
         return mean
-
-    def _with_prior_mean(
-        self, settings: GaussianProcessSettings, name: str
-    ) -> GaussianProcessSettings:
-        if name not in self._means:
-            return settings
-        return replace(settings, mean=self._means[name], transform="none")
 
     @property
     def ready(self) -> bool:

@@ -7,25 +7,22 @@ import math
 import os
 import warnings
 from collections.abc import Mapping
-from dataclasses import fields
 from difflib import get_close_matches
-from functools import reduce
+from functools import partial, reduce
 from operator import mul
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
 from mobo_tuner.core.acquisition import (
+    ACQUISITION_FUNCTIONS,
     AcquisitionFunction,
-    ExpectedHypervolumeImprovement,
-    ExpectedImprovement,
-    UpperConfidenceBound,
-    UpperConfidenceBoundHypervolumeImprovement,
+    Knowledge,
+    Model,
+    beta_schedule,
 )
-from mobo_tuner.core.acquisition_optimizer import Maximizer, MultiStart, ParticleSwarm
 from mobo_tuner.core.belief import Belief, believe, is_certain
 from mobo_tuner.core.belief import measured as _measured
 from mobo_tuner.core.constraints import ProbabilityOfFeasibility, ValidityWeight
@@ -36,10 +33,10 @@ from mobo_tuner.core.initial_design import initial_design
 from mobo_tuner.core.linear_algebra import single_blas_thread
 from mobo_tuner.core.models import Models, PriorMean
 from mobo_tuner.core.predicted_front import predict_front
-from mobo_tuner.core.presets import OptimizerSettings, make_settings
 from mobo_tuner.core.problem import Array, Problem, ProblemError, as_float
 from mobo_tuner.core.proximal import ProximalBiasing
 from mobo_tuner.core.scalarisation import WeightedSum
+from mobo_tuner.core.settings import make_settings
 from mobo_tuner.errors import UserError
 
 Source = Literal["initial", "model"]
@@ -48,11 +45,6 @@ STATE_VERSION = 2
 # A failed set-point is not proposed again within 1 % of every variable's range.
 FAILED_TOLERANCE = 0.02
 _EXPLORED = 1024  # quasi-random points among which exploration chooses
-
-_MAXIMIZERS: dict[str, type[MultiStart] | type[ParticleSwarm]] = {
-    "multi_start": MultiStart,
-    "particle_swarm": ParticleSwarm,
-}
 
 
 class Optimizer:
@@ -70,7 +62,7 @@ class Optimizer:
         prior_means: for some objectives or constrained diagnostics a function that predicts them,
             such as a surrogate of the machine, from one array per variable; the Gaussian process
             then learns the difference.
-        overrides: single choices in place of the preset's, see `presets.OptimizerSettings`.
+        overrides: single choices in place of the preset's, see `settings.OptimizerSettings`.
 
     Raises:
         ProblemError: a choice is unknown, not allowed or does not suit the problem.
@@ -91,7 +83,7 @@ class Optimizer:
         self.problem = problem
         self.seed = seed
         self.settings = make_settings(preset, overrides)
-        self._check_settings()
+        self.settings.check_problem(problem)
         self.dataset = Dataset(problem)
         self._prior_means = prior_means
         self._models = Models(problem, self.settings, seed, prior_means)
@@ -292,7 +284,8 @@ class Optimizer:
         """Go on with a single objective around a point of the front ([Roussel2021]_, sec:conclusion).
 
         The new optimiser minimises the weighted sum of the minimised objectives by expected
-        improvement, within `radius` of the point, and knows all that this one was told.
+        improvement, within `radius` of the point, and knows all that this one was told. All other
+        choices are those of this one.
 
         Args:
             index: evaluation of the chosen point; the front's best by `weights` where None.
@@ -305,14 +298,8 @@ class Optimizer:
             ProblemError: the point is not on the front, the weights do not fit, or neither is given.
         """
         chosen, sums = choose_on_front(self.problem, self.pareto_front(), index, weights)
-        focused = Optimizer(
-            around(self.problem, chosen, radius),
-            seed=self.seed,
-            acquisition="ei",
-            weights=sums,
-            initial_evaluations=1,
-            kernel=self.settings.kernel,
-        )
+        changes = {"acquisition": "ei", "weights": sums, "initial_evaluations": 1}
+        focused = self._like_this(around(self.problem, chosen, radius), changes)
         self._tell_all_to(focused)
         return focused
 
@@ -333,8 +320,7 @@ class Optimizer:
                 f"the variables are {', '.join(problem.variable_names)}; with what was measured "
                 f"only {', '.join(self.problem.variable_names)} are allowed"
             )
-        choices = {f.name: getattr(self.settings, f.name) for f in fields(self.settings)}
-        changed = Optimizer(problem, seed=self.seed, prior_means=self._prior_means, **choices)
+        changed = self._like_this(problem)
         self._tell_all_to(changed)
         return changed
 
@@ -372,6 +358,11 @@ class Optimizer:
             }
             for x, means, stddevs in zip(*front, strict=True)
         ]
+
+    def _like_this(self, problem: Problem, changes: Mapping[str, Any] = {}) -> Optimizer:
+        """An optimiser of another problem that knows nothing yet, with these choices but for some."""
+        choices = self.settings.to_dict() | dict(changes)
+        return Optimizer(problem, seed=self.seed, prior_means=self._prior_means, **choices)
 
     def _tell_all_to(self, other: Optimizer) -> None:
         for e in self.dataset.evaluations:
@@ -439,11 +430,12 @@ class Optimizer:
     def _restored(
         cls, state: Mapping[str, Any], prior_means: Mapping[str, PriorMean] | None
     ) -> Optimizer:
-        restored = cls(Problem.from_dict(state["problem"]), seed=state["seed"])
-        restored.settings = OptimizerSettings.from_dict(state["settings"])
-        restored._check_settings()
-        restored._prior_means = prior_means
-        restored._models = Models(restored.problem, restored.settings, restored.seed, prior_means)
+        restored = cls(
+            Problem.from_dict(state["problem"]),
+            seed=state["seed"],
+            prior_means=prior_means,
+            **state["settings"],
+        )
         for evaluation in state["evaluations"]:
             outputs = {n: (pair[0], pair[1]) for n, pair in evaluation["outputs"].items()}
             restored.tell(
@@ -503,8 +495,7 @@ class Optimizer:
         rng = np.random.default_rng([self.seed, 2, len(self.dataset)])
         inputs = self.dataset.inputs
         if self._models.ready:
-            maximizer: Maximizer = _MAXIMIZERS[self.settings.maximizer]()
-            maximum = maximizer.maximize(
+            maximum = self.settings.make_maximizer().maximize(
                 self._acquisition_function(),
                 d,
                 rng,
@@ -529,43 +520,48 @@ class Optimizer:
             factors.insert(0, self._improvement(known))
         if self.dataset.failed.any():
             factors.append(ValidityWeight(self._models.validity))
-        if self.settings.proximal is not None:
-            factors.append(ProximalBiasing(self.dataset.inputs[-1], self._precision()))
+        precision = self.settings.proximal_precision(self.problem)
+        if precision is not None:
+            factors.append(ProximalBiasing(self.dataset.inputs[-1], precision))
         return reduce(mul, factors)
 
     def _improvement(self, known: BoolArray) -> AcquisitionFunction:
         """Return the acquisition function of the objectives that were measured at least once."""
-        settings = self.settings
-        models = [m for m, is_known in zip(self._models.objectives, known, strict=True) if is_known]
+        settings, belief = self.settings, self._believed()
+        chosen = ACQUISITION_FUNCTIONS.find(settings.acquisition)
+        models = tuple(m for m, k in zip(self._models.objectives, known, strict=True) if k)
+        values = belief.objectives[belief.feasible][:, known]
         reference = self.problem.reference_point[known]
-        belief = self._believed()
-        if settings.acquisition in ("ei", "ucb"):
-            weights = np.array(settings.weights or (1.0,))[known]
-            model = models[0] if len(models) == 1 else WeightedSum(models, weights)
-            worst = float(reference @ weights)
-            if settings.acquisition == "ucb":
-                return UpperConfidenceBound(model, settings.beta, worst)
-            sums = belief.objectives[belief.feasible][:, known] @ weights
-            return ExpectedImprovement(model, float(sums.min()) if len(sums) else worst)
         lower = self.problem.truncation_lower[known]
+        beta = settings.beta
+        if isinstance(beta, str):
+            beta = beta_schedule(len(self.dataset), len(self.problem.variables))
+        if chosen.single_objective and settings.weights is not None:
+            weights = np.array(settings.weights)[known]
+            if not weights.any():  # nothing that counts was measured yet
+                weights = np.ones(len(weights))
+            summed: tuple[Model, ...] = (WeightedSum(models, weights),)
+            sums = (values @ weights)[:, None]
+            worst = np.array([reference @ weights])
+            least = partial(BoxDecomposition, worst, sums)
+            return chosen.of(Knowledge(summed, sums, worst, beta, least))
         truncation = (lower, reference) if np.isfinite(lower).any() else None
-        self._build_boxes()
-        boxes = self._boxes
-        if not is_certain(self.dataset):
-            boxes = BoxDecomposition(reference, belief.objectives[belief.feasible][:, known])
-        if settings.acquisition == "ehvi":
-            return ExpectedHypervolumeImprovement(models, boxes, truncation)
-        return UpperConfidenceBoundHypervolumeImprovement(models, boxes, settings.beta, truncation)
 
-    def _build_boxes(self) -> None:
-        """Build the boxes of the readings again when the models were trained.
+        def front() -> BoxDecomposition:
+            boxes = self._front()
+            return boxes if is_certain(self.dataset) else BoxDecomposition(reference, values)
+
+        return chosen.of(Knowledge(models, values, reference, beta, front, truncation))
+
+    def _front(self) -> BoxDecomposition:
+        """Return the boxes of the readings, built again when the models were trained.
 
         In between they grow, which is slower to sum over but spares the time. What they are depends
         on the data and the last training only, so that a restored optimiser has the same.
         """
         trained = self._models.trained_rows
         if self._packed == trained:
-            return
+            return self._boxes
         feasible = np.flatnonzero(self.dataset.feasible)
         objectives = self.dataset.objectives
         rows = feasible[feasible < trained]
@@ -573,38 +569,7 @@ class Optimizer:
         for row in feasible[len(rows) :]:
             self._boxes.add(objectives[row])
         self._packed = trained
-
-    def _precision(self) -> ArrayLike:
-        """Precision matrix of proximal biasing, or what stands for it."""
-        if isinstance(self.settings.proximal, str):
-            return np.array([v.cost for v in self.problem.variables])
-        precision: ArrayLike = self.settings.proximal
-        return precision
-
-    def _check_settings(self) -> None:
-        """Refuse settings that do not suit the problem."""
-        settings, n_objectives = self.settings, len(self.problem.objectives)
-        single = settings.acquisition in ("ei", "ucb")
-        if single and n_objectives > 1 and settings.weights is None:
-            raise ProblemError(
-                f"acquisition is '{settings.acquisition}', which needs a single objective or weights"
-            )
-        if settings.weights is not None and (not single or len(settings.weights) != n_objectives):
-            raise ProblemError(
-                f"weights are {settings.weights!r}; one for each of {n_objectives} objectives is "
-                "allowed, with acquisition 'ei' or 'ucb'"
-            )
-        if settings.proximal is None:
-            return
-        if isinstance(settings.proximal, str) and settings.proximal != "costs":
-            raise ProblemError(
-                f"proximal is {settings.proximal!r}; 'costs', a number, one for each variable or a "
-                "matrix is allowed"
-            )
-        try:
-            ProximalBiasing(np.zeros(len(self.problem.variables)), self._precision())
-        except (TypeError, ValueError) as error:
-            raise ProblemError(f"proximal is {settings.proximal!r}: {error}") from None
+        return self._boxes
 
 
 def _farthest(inputs: Array, d: int, rng: np.random.Generator) -> Array:

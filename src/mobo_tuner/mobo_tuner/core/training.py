@@ -13,7 +13,7 @@ from scipy.linalg import lapack
 from scipy.optimize import minimize
 
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
-from mobo_tuner.core.kernels import Kernel, RBFFull, squared_distances
+from mobo_tuner.core.kernels import Kernel, squared_distances
 from mobo_tuner.core.linear_algebra import FloatArray, cholesky, inverse_lower
 from mobo_tuner.core.posterior import RELATIVE_JITTER
 
@@ -211,37 +211,17 @@ def held_parameters(
     """
     held = np.zeros(kernel.size + 2)
     free = np.ones(kernel.size + 2, dtype=np.bool_)
-    if settings.precision is not None or settings.length_scales is not None:
+    shape = settings.held_shape(kernel)
+    if shape is not None:
         free[:-2] = False
-        held[:-2] = _held_shape(settings, kernel)
+        held[:-2] = shape
     if settings.variance is not None:
         free[-2] = False
         held[-2] = np.clip(np.log(settings.variance) - 2.0 * np.log(scale), -200.0, 200.0)
-    if settings.noise != "learned":
+    if not isinstance(settings.noise, str):
         free[-1] = False
         held[-1] = np.log(settings.minimum_noise)
     return held, free
-
-
-def _held_shape(settings: GaussianProcessSettings, kernel: Kernel) -> FloatArray:
-    d = kernel.d
-    if settings.precision is not None:
-        matrix = np.array(settings.precision)
-        if len(matrix) != d:
-            raise ValueError(
-                f"precision must be a {d} by {d} matrix for {d} inputs, got {len(matrix)} rows"
-            )
-    else:
-        scales = np.ravel(np.asarray(settings.length_scales, dtype=np.float64))
-        if len(scales) not in (1, d):
-            raise ValueError(
-                f"length_scales must be one number or {d} for {d} inputs, got {len(scales)}"
-            )
-        if not isinstance(kernel, RBFFull):
-            return np.broadcast_to(np.log(scales), (kernel.size,))
-        matrix = np.eye(d) / scales**2
-    assert isinstance(kernel, RBFFull)
-    return kernel.parameters_of(matrix)
 
 
 def train(
