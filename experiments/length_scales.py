@@ -18,7 +18,6 @@ import numpy as np
 from experiments.problems import awa, dtlz2, toy
 from mobo_tuner.core import kernels
 from mobo_tuner.core.gaussian_process import GaussianProcess, GaussianProcessSettings
-from mobo_tuner.core.gaussian_process_settings import MeanName
 from mobo_tuner.core.pareto import FloatArray
 
 Function = Callable[[FloatArray], FloatArray]
@@ -51,7 +50,7 @@ PROBLEMS: dict[str, Callable[[], tuple[int, Function]]] = {
 }
 
 
-def log_density(function: Function, d: int, n: int, mean: MeanName, seed: int) -> float:
+def log_density(function: Function, d: int, n: int, mean: str, seed: int) -> float:
     """Return the mean log density of other points under models of n random points."""
     rng = np.random.default_rng([seed, n])
     x = rng.uniform(-1.0, 1.0, (n + POINTS, d))
@@ -71,7 +70,7 @@ def log_density(function: Function, d: int, n: int, mean: MeanName, seed: int) -
 
 
 def row(
-    function: Function, d: int, n: int, mean: MeanName, locations: Sequence[float], seeds: int
+    function: Function, d: int, n: int, mean: str, locations: Sequence[float], seeds: int
 ) -> str:
     """Return the mean log density for each location, and the standard error of their differences."""
     found = np.empty((seeds, len(locations)))

@@ -14,7 +14,7 @@ from awa_sim_node.machine import Mode, behaviour_of
 from awa_sim_node.parameters import AWA_SIM
 from mobo_tuner.bridge.describe import MACHINE_BRIDGE
 from mobo_tuner.nodes.parameters import CONSOLE, RECORDER
-from mobo_tuner.ros.parameters import ParameterSpec
+from mobo_tuner.parameter_spec import ParameterSpec
 from mobo_tuner.tuner.parameters import TUNER
 
 ROOT = Path(__file__).resolve().parent.parent

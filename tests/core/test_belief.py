@@ -15,7 +15,7 @@ from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.core.belief import believe, is_certain, measured
 from mobo_tuner.core.dataset import Dataset
 from mobo_tuner.core.models import Models
-from mobo_tuner.core.presets import OptimizerSettings
+from mobo_tuner.core.settings import OptimizerSettings
 
 REFERENCE = 3.0
 Machine = Callable[[int, dict[str, float]], Mapping[str, Any]]

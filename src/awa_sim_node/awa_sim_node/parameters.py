@@ -2,7 +2,7 @@
 
 from awa_sim_node.machine import Mode, behaviour_of
 from awa_sim_node.machine.models import MODEL_NAMES
-from mobo_tuner.ros.parameters import ParameterSpec
+from mobo_tuner.parameter_spec import ParameterSpec
 
 AWA_SIM = (
     ParameterSpec(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import math
 import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
@@ -191,42 +191,11 @@ def check_fields(settings: Any) -> None:
         object.__setattr__(settings, spec.name, spec.check(getattr(settings, spec.name)))
 
 
-def check_section(
-    where: str, section: Mapping[str, Any], specs: Sequence[ParameterSpec]
-) -> dict[str, ParameterValue]:
-    """Check one node's parameters as they stand in a file; defaults fill what is not given.
-
-    Args:
-        where: Name of the section.
-        section: Parameters; those in a mapping have its name and a dot before theirs.
-        specs: Parameters of the node.
-
-    Raises:
-        ParameterError: If a parameter is unknown, of another type or not allowed.
-    """
-    given = dict(_flat(section))
-    known = [spec.name for spec in specs]
-    for name in given:
-        if name not in known and name != "use_sim_time":
-            raise ParameterError(unknown(name, known, where))
-    return {
-        spec.name: spec.check(given.get(spec.name, spec.default), f"{where}.") for spec in specs
-    }
-
-
 def unknown(name: str, known: Collection[str], where: str) -> str:
     """Return the sentence about an unknown parameter, with the known one that is most like it."""
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean '{near[0]}'?" if near else f"allowed are {', '.join(known)}"
     return f"'{name}' is unknown in {where}; {hint}"
-
-
-def _flat(section: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in section.items():
-        if isinstance(value, Mapping) and value:
-            yield from _flat(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
 
 
 def _plain_types(hint: Any) -> Iterator[type]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from mobo_tuner.core.problem import Constraint, Objective, Problem, Variable
 from mobo_tuner.machine.description import MachineDescription
-from mobo_tuner.ros.parameters import ParameterValue
 
 _FALLBACKS = {
     "hold": "holds where it is",
@@ -37,7 +37,7 @@ class Configuration:
 
     path: str
     problem: Problem
-    tuner: Mapping[str, ParameterValue]
+    tuner: Mapping[str, Any]
     section: str
     machine: MachineDescription | None
     program: str
@@ -99,7 +99,7 @@ def _constraint(constraint: Constraint) -> tuple[str, str]:
     return constraint.name, _quantity(text, constraint.unit) + critical
 
 
-def _budget(tuner: Mapping[str, ParameterValue]) -> str:
+def _budget(tuner: Mapping[str, Any]) -> str:
     initial = tuner["initial_evaluations"]
     return f"{tuner['evaluations']} evaluations" + (
         f", the first {initial} spread over the bounds" if initial else ""

@@ -1,6 +1,6 @@
 """The parameters of the other nodes."""
 
-from mobo_tuner.ros.parameters import ParameterSpec
+from mobo_tuner.parameter_spec import ParameterSpec
 
 RECORDER = (
     ParameterSpec("bag_path", "", "folder of the bag; must not exist yet"),

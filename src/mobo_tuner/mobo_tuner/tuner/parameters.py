@@ -1,6 +1,6 @@
 """The parameters of the tuner's node, beside those of the problem."""
 
-from mobo_tuner.ros.parameters import ParameterSpec
+from mobo_tuner.parameter_spec import ParameterSpec
 
 TUNER = (
     ParameterSpec(
