@@ -180,7 +180,8 @@ def test_a_run_is_canceled_from_another_thread_by_an_error_and_at_the_end(
             evaluations=ENDLESS,
             on_evaluation=lambda e: indices.append(e.index),
         )
-        wait_until(lambda: len(indices) > 2, "evaluations")
+        wait_until(lambda: len(indices) > 2 or running.done(), "evaluations", 60.0)
+        assert not running.done(), running.exception()
         return running
 
     def ended(running: Future[RunResult]) -> RunResult:

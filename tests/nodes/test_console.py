@@ -102,12 +102,12 @@ def test_a_run_is_shown_line_by_line_and_ends_with_0(session: Session) -> None:
     assert [(g.run_id, g.evaluations) for g in session.tuner.goals] == [("run1", 4)]
     shown = [line for line in session.lines if line.startswith("evaluation")]
     assert shown == [
-        "evaluation 1 of 4: hypervolume 100, eps_x 30 mm mrad, yield 0.5, suggested in 0.25 s",
-        "evaluation 2 of 4: hypervolume 101, eps_x not measured, yield 0.51, suggested in 0.25 s, "
+        "evaluation 0, 1 of 4 done: hypervolume 100, eps_x 30 mm mrad, yield 0.5, suggested in 0.25 s",
+        "evaluation 1, 2 of 4 done: hypervolume 101, eps_x not measured, yield 0.51, suggested in 0.25 s, "
         "failed: the beam was lost",
-        "evaluation 3 of 4: hypervolume 102, eps_x 28 mm mrad, yield 0.52, suggested in 0.25 s, "
+        "evaluation 2, 3 of 4 done: hypervolume 102, eps_x 28 mm mrad, yield 0.52, suggested in 0.25 s, "
         "infeasible",
-        "evaluation 4 of 4: hypervolume 103, eps_x 27 mm mrad, yield 0.53, suggested in 0.25 s",
+        "evaluation 3, 4 of 4 done: hypervolume 103, eps_x 27 mm mrad, yield 0.53, suggested in 0.25 s",
     ]
     assert session.lines[-1] == (
         "run run1 is finished (budget): 4 evaluations, hypervolume 103, 4 on the Pareto front"
@@ -131,7 +131,7 @@ def test_without_parameters_the_run_gets_a_name_and_the_tuners_budget(session: S
     (goal,) = session.tuner.goals
     assert re.fullmatch(r"\d{8}-\d{6}-run-[0-9a-f]{8}", goal.run_id)
     assert goal.evaluations == 0
-    assert len([line for line in session.lines if " of 4: " in line]) == 4
+    assert len([line for line in session.lines if " of 4 done: " in line]) == 4
 
 
 def test_it_waits_until_the_recorder_records_the_run(session: Session) -> None:
@@ -176,7 +176,9 @@ def test_a_recorder_that_is_not_ready_is_an_error(
 def test_a_missing_tuner_is_an_error(session: Session) -> None:
     session.start(ready_timeout=1.0)
     session.ends_with(1)
-    assert session.process.stderr.strip() == "no tuner was found within 1 s"
+    [sentence] = session.process.stderr.splitlines()
+    assert "'/status'" in sentence
+    assert "1 s" in sentence
 
 
 def test_a_goal_that_is_refused_is_an_error(session: Session) -> None:
@@ -202,7 +204,7 @@ def test_a_signal_cancels_the_run_and_shows_what_was_reached(
 ) -> None:
     session.tuner_behaves(seconds=0.2)
     session.start(evaluations=1000)
-    session.spin_until(lambda: "evaluation    2 of" in session.process.stdout, "two evaluations")
+    session.spin_until(lambda: "evaluation    1," in session.process.stdout, "two evaluations")
     session.process.popen.send_signal(number)
     session.ends_with(130, timeout=4.0)
     assert session.tuner.cancels == 1
@@ -228,7 +230,7 @@ def test_a_signal_before_the_goal_sends_none(session: Session) -> None:
 def test_a_tuner_that_does_not_heed_the_cancel_is_not_waited_for(session: Session) -> None:
     session.tuner_behaves(seconds=0.1, heeds_cancel=False)
     session.start(evaluations=1000)
-    session.spin_until(lambda: "evaluation    1 of" in session.process.stdout, "an evaluation")
+    session.spin_until(lambda: "evaluation    0," in session.process.stdout, "an evaluation")
     session.process.popen.send_signal(signal.SIGINT)
     session.ends_with(130, timeout=4.0)
     assert session.lines[-1] == "canceled, but the tuner did not answer within 1.5 s"
@@ -238,7 +240,8 @@ def test_a_tuner_that_falls_silent_is_an_error(session: Session) -> None:
     session.tuner_behaves(silent_after=1)
     session.start()
     session.ends_with(1)
-    assert session.process.stderr.strip() == "the tuner has been silent for 5 s: it is gone"
+    [sentence] = session.process.stderr.splitlines()
+    assert "silent for 5 s" in sentence
 
 
 def test_a_run_id_that_is_no_folder_name_is_refused(session: Session) -> None:
@@ -272,6 +275,7 @@ def test_the_terminal_view(session: Session) -> None:
     text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", screen.decode())
     assert "waiting for the tuner" in text
     assert "run run1   machine: settling 40%" in text
+    assert "evaluation 3, 4 of 4 done" in text
     assert "hypervolume 103   4 on the front   2 feasible   1 failed" in text
     last = text[text.rindex("objective") :]
     assert re.search(r"eps_x +27 ± 0\.2 +27 +mm mrad +index 3", last)

@@ -20,7 +20,7 @@ from mobo_msgs_py.msg import (
     Problem,
     TunerStatus,
 )
-from mobo_tuner.ros.qos import LATCHED, STREAM
+from mobo_tuner.ros.qos import KEPT, LATCHED
 from mobo_tuner.ros.waiting import first_of
 
 
@@ -52,7 +52,7 @@ class TunerDouble:
         self._status = TunerStatus()
         self._silent = False
         self._problem = node.create_publisher(Problem, "problem", LATCHED)
-        self._evaluation = node.create_publisher(Evaluation, "evaluation", STREAM)
+        self._evaluation = node.create_publisher(Evaluation, "evaluation", KEPT)
         self._status_publisher = node.create_publisher(TunerStatus, "status", LATCHED)
         self._front = node.create_publisher(ParetoFront, "pareto_front", LATCHED)
         node.create_timer(1.0, self.publish_status)

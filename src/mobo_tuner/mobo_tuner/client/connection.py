@@ -119,40 +119,22 @@ class Connection:
         self._actions: dict[str, ActionClient] = {}
         self._subscriptions: dict[str, Any] = {}
         self._listeners: list[Listener] = []
-        self._goals: list[_Goal] = []
+        self._pursuits: list[_Pursuit] = []
         self._closed = False
         self._executor = ExecutorThread(executor, spin=self._context is not None)
         self._made = self._executor.post(self._make)
 
-    def connect(self, timeout: float | None = None, goal: _Goal | None = None) -> None:
+    def connect(self, timeout: float | None = None) -> None:
         """Wait until the tuner is there and knows this client.
 
         Args:
             timeout: Longest wait [s]; None for that of the connection.
-            goal: Goal for which it is done, if any.
 
         Raises:
-            TunerError: If no tuner is heard, or the goal is canceled.
+            TunerError: If no tuner is heard, or the wait is canceled.
         """
-        if self._executor.is_current:
-            raise RuntimeError("a TunerClient blocks; do not call it on the executor's thread")
-        if self._closed:
-            raise RuntimeError("this TunerClient is closed")
-        try:
-            self._made.result(self._timeout)
-        except TimeoutError:
-            raise RuntimeError("the executor of the given node does not spin") from None
-        timeout = self._timeout if timeout is None else timeout
-        domain = self._node.context.get_domain_id()
-        self._until(
-            lambda: not self._silent,
-            timeout,
-            f"no tuner was heard on '{self._resolved('status')}' within {timeout:g} s "
-            f"in ROS domain {domain}",
-            goal,
-        )
-        if not self._met:
-            self._meet(timeout, goal)
+        with self._pursuit() as pursuit:
+            self._connect(pursuit, timeout)
 
     def close(self) -> None:
         """Cancel what is going on for this client, and release everything."""
@@ -160,7 +142,7 @@ class Connection:
             return
         self.cancel()
         deadline = time.monotonic() + CLOSE_TIMEOUT
-        while self._goals and not self._executor.is_current and time.monotonic() < deadline:
+        while self._pursuits and not self._executor.is_current and time.monotonic() < deadline:
             time.sleep(POLL_PERIOD)
         self._closed = True
         if self._context is None:
@@ -181,9 +163,10 @@ class Connection:
         Raises:
             TunerError: If the tuner is not there or does not answer.
         """
-        self.connect()
-        client = self._services[name]
-        self._ready(client.service_is_ready, name)
+        with self._pursuit() as pursuit:
+            self._connect(pursuit)
+            client = self._services[name]
+            self._ready(client.service_is_ready, name, pursuit)
         answer = self._executor.start(lambda: client.call_async(request))
         return self._wait(answer, name, self._timeout if timeout is None else timeout)
 
@@ -201,38 +184,35 @@ class Connection:
         Raises:
             TunerError: If the tuner is not there, refuses the goal, or falls silent.
         """
-        pursuit = _Goal(self._executor)
-        self._goals.append(pursuit)
         finished: Future[Any] | None = None
-        try:
-            self.connect(goal=pursuit)
-            client = self._actions[name]
-            self._ready(client.server_is_ready, name, pursuit)
-            sent = self._executor.start(
-                lambda: client.send_goal_async(goal, lambda message: on_feedback(message.feedback))
-            )
-            sent.add_done_callback(pursuit.answered)
-            handle = self._wait(sent, name, self._timeout)
-            if not handle.accepted:
-                raise TunerError(ErrorCode.REFUSED, "the tuner refused the goal")
-            finished = self._executor.start(handle.get_result_async)
-            finished.add_done_callback(lambda _: inbox.put(None))
-            while not finished.done():
-                self.serve(inbox)
-            return finished.result().result
-        except BaseException:
-            pursuit.cancel()
-            if finished is not None:
-                with contextlib.suppress(TunerError):  # the first error counts
-                    self._wait(finished, name, float("inf"))
-            raise
-        finally:
-            self._goals.remove(pursuit)
+        with self._pursuit() as pursuit:
+            try:
+                self._connect(pursuit)
+                client = self._actions[name]
+                self._ready(client.server_is_ready, name, pursuit)
+                sent = self._executor.start(
+                    lambda: client.send_goal_async(goal, lambda m: on_feedback(m.feedback))
+                )
+                sent.add_done_callback(pursuit.answered)
+                handle = self._wait(sent, name, self._timeout)
+                if not handle.accepted:
+                    raise TunerError(ErrorCode.REFUSED, "the tuner refused the goal")
+                finished = self._executor.start(handle.get_result_async)
+                finished.add_done_callback(lambda _: inbox.put(None))
+                while not finished.done():
+                    self.serve(inbox)
+                return finished.result().result
+            except BaseException:
+                pursuit.cancel()
+                if finished is not None:
+                    with contextlib.suppress(TunerError):  # the first error counts
+                        self._wait(finished, name, float("inf"))
+                raise
 
     def cancel(self) -> None:
-        """Ask to cancel every goal that is pursued now, without waiting."""
-        for goal in list(self._goals):
-            goal.cancel()
+        """Ask to cancel every goal that is pursued and every wait for the tuner, without waiting."""
+        for pursuit in list(self._pursuits):
+            pursuit.cancel()
 
     @contextlib.contextmanager
     def listening(self, listener: Listener) -> Iterator[None]:
@@ -302,7 +282,7 @@ class Connection:
     def _silent(self) -> bool:
         return self._heard is None or time.monotonic() - self._heard > SILENCE_TIMEOUT
 
-    def _meet(self, timeout: float, goal: _Goal | None) -> None:
+    def _meet(self, timeout: float, pursuit: _Pursuit) -> None:
         """Ask the tuner what does no harm until it answers.
 
         Questions and answers are lost between nodes that have not discovered each other, and also
@@ -312,7 +292,7 @@ class Connection:
         client = self._services[PROBE]
         nobodys = CancelGoal.Request()
         nobodys.goal_info.goal_id.uuid = list(uuid.uuid4().bytes)
-        self._ready(client.service_is_ready, PROBE, goal)
+        self._ready(client.service_is_ready, PROBE, pursuit)
 
         def answers() -> bool:
             answer = self._executor.start(lambda: client.call_async(nobodys))
@@ -322,7 +302,7 @@ class Connection:
             return False
 
         failure = f"the tuner did not answer within {timeout:g} s"
-        self._until(answers, timeout, failure, goal)
+        self._until(answers, timeout, failure, pursuit)
         self._met = True
 
     def _check_alive(self) -> None:
@@ -332,27 +312,57 @@ class Connection:
                 f"the tuner has been silent for {SILENCE_TIMEOUT:g} s: it is gone",
             )
 
+    @contextlib.contextmanager
+    def _pursuit(self) -> Iterator[_Pursuit]:
+        pursuit = _Pursuit(self._executor)
+        self._pursuits.append(pursuit)
+        try:
+            yield pursuit
+        finally:
+            self._pursuits.remove(pursuit)
+
+    def _connect(self, pursuit: _Pursuit, timeout: float | None = None) -> None:
+        if self._executor.is_current:
+            raise RuntimeError("a TunerClient blocks; do not call it on the executor's thread")
+        if self._closed:
+            raise RuntimeError("this TunerClient is closed")
+        try:
+            self._made.result(self._timeout)
+        except TimeoutError:
+            raise RuntimeError("the executor of the given node does not spin") from None
+        timeout = self._timeout if timeout is None else timeout
+        domain = self._node.context.get_domain_id()
+        self._until(
+            lambda: not self._silent,
+            timeout,
+            f"no tuner was heard on '{self._resolved('status')}' within {timeout:g} s "
+            f"in ROS domain {domain}",
+            pursuit,
+        )
+        if not self._met:
+            self._meet(timeout, pursuit)
+
     def _name(self, name: str) -> str:
         return f"{self._namespace}/{name}" if self._namespace else name
 
     def _resolved(self, name: str) -> str:
         return str(self._node.resolve_topic_name(self._name(name)))
 
-    def _ready(self, is_ready: Callable[[], bool], name: str, goal: _Goal | None = None) -> None:
+    def _ready(self, is_ready: Callable[[], bool], name: str, pursuit: _Pursuit) -> None:
         """Wait until the tuner offers a service or an action."""
         self._until(
             lambda: self._executor.call(is_ready),
             self._timeout,
             f"no tuner offered '{self._resolved(name)}' within {self._timeout:g} s",
-            goal,
+            pursuit,
         )
 
     def _until(
-        self, condition: Callable[[], bool], timeout: float, failure: str, goal: _Goal | None
+        self, condition: Callable[[], bool], timeout: float, failure: str, pursuit: _Pursuit
     ) -> None:
         deadline = time.monotonic() + timeout
         while not condition():
-            if goal is not None and goal.canceled:
+            if pursuit.canceled:
                 raise TunerError(ErrorCode.CANCELED, "it was canceled before it began")
             if time.monotonic() > deadline:
                 raise TunerError(ErrorCode.NO_TUNER, failure)
@@ -372,8 +382,8 @@ class Connection:
                 )
 
 
-class _Goal:
-    """One goal, from before it is sent to its end."""
+class _Pursuit:
+    """A wait for the tuner, and the goal for which it is done, if any."""
 
     def __init__(self, executor: ExecutorThread) -> None:
         self.canceled = False

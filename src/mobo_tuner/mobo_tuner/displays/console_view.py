@@ -1,12 +1,11 @@
-"""What the console shows of a run: a view that is redrawn, or one line per evaluation."""
+"""What a terminal shows of a run: a view that is redrawn, or one line per evaluation."""
 
 from __future__ import annotations
 
 import math
 import os
 import sys
-import time
-from typing import TextIO
+from typing import TextIO, TypedDict
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -14,113 +13,191 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from mobo_msgs_py.msg import Evaluation, NamedValue, TunerStatus
+from mobo_tuner.client import Evaluation, Front, Status
+from mobo_tuner.client.follower import OnEvaluation, OnFront, OnProblem, OnStatus
+from mobo_tuner.core.problem import Problem
 from mobo_tuner.displays.progress import RunProgress
 
 _STATES = {
-    TunerStatus.IDLE: "idle",
-    TunerStatus.WAITING: "waiting for the machine",
-    TunerStatus.SUGGESTING: "computing the next candidate",
-    TunerStatus.EVALUATING: "the machine is at work",
-    TunerStatus.CANCELING: "stopping",
-    TunerStatus.PAUSED: "paused",
-    TunerStatus.MOVING: "the machine is sent to a set-point",
+    "idle": "idle",
+    "waiting": "waiting for the machine",
+    "suggesting": "computing the next candidate",
+    "evaluating": "the machine is at work",
+    "canceling": "stopping",
+    "paused": "paused",
+    "moving": "the machine is sent to a set-point",
 }
 
 
-class LiveView:
-    """One view in the terminal, drawn over and over."""
+class Callbacks(TypedDict):
+    """What `TunerClient.tune` and `TunerClient.watch` take."""
 
-    def __init__(self, progress: RunProgress, stream: TextIO | None = None) -> None:
-        self._progress = progress
+    on_evaluation: OnEvaluation
+    on_status: OnStatus
+    on_front: OnFront
+    on_problem: OnProblem
+
+
+class RunView:
+    """A view of one run; what it shows, and when, is up to its kinds.
+
+    Args:
+        run_id: Id of the run.
+        budget: Number of evaluations asked for; 0 until it is known.
+    """
+
+    def __init__(self, run_id: str, budget: int = 0) -> None:
+        self.run_id = run_id
+        self.progress = RunProgress(budget)
+
+    @property
+    def callbacks(self) -> Callbacks:
+        """What keeps the view up to date."""
+        return {
+            "on_evaluation": self.evaluation,
+            "on_status": self.status,
+            "on_front": self.front,
+            "on_problem": self.problem,
+        }
+
+    def stage(self, text: str) -> None:
+        """Say what is waited for before the run; empty once it has begun."""
+
+    def evaluation(self, evaluation: Evaluation) -> None:
+        """Show an evaluation."""
+        self.progress.add(evaluation)
+
+    def status(self, status: Status) -> None:
+        """Show what the tuner does."""
+        self.progress.set_status(status)
+
+    def front(self, front: Front) -> None:
+        """Show the front."""
+        self.progress.set_front(front)
+
+    def problem(self, problem: Problem) -> None:
+        """Take note of what is tuned."""
+        self.progress.set_problem(problem)
+
+    def close(self) -> None:
+        """Release the terminal; what was shown stays."""
+
+
+class LiveView(RunView):
+    """A view that is drawn again and again in one place of the terminal."""
+
+    def __init__(self, run_id: str, budget: int = 0, stream: TextIO | None = None) -> None:
+        super().__init__(run_id, budget)
         self._stage = ""
         self._live = Live(console=Console(file=stream), auto_refresh=False)
         self._live.start()
 
     def stage(self, text: str) -> None:
-        """Say what is waited for; empty while the run goes on."""
+        """Show what is waited for."""
         self._stage = text
-        self.refresh()
+        self._draw()
 
     def evaluation(self, evaluation: Evaluation) -> None:
-        """Nothing to do: the next refresh shows it."""
+        """Show an evaluation."""
+        super().evaluation(evaluation)
+        self._draw()
 
-    def refresh(self) -> None:
-        """Draw what is known now."""
-        if self._live.is_started:
-            self._live.update(render(self._progress, self._stage), refresh=True)
+    def status(self, status: Status) -> None:
+        """Show what the tuner does; it comes at least once a second."""
+        super().status(status)
+        self._draw()
 
     def close(self) -> None:
-        """Leave the last view standing."""
-        self.refresh()
+        """Leave the last view in the terminal."""
+        self._draw()
         self._live.stop()
 
+    def _draw(self) -> None:
+        if self._live.is_started:
+            self._live.update(render(self.run_id, self.progress, self._stage), refresh=True)
 
-class PlainView:
-    """One line per evaluation, for logs and pipes."""
 
-    def __init__(self, progress: RunProgress, stream: TextIO | None = None) -> None:
-        self._progress = progress
+class PlainView(RunView):
+    """One line per evaluation, and one for each reason to wait, for logs and pipes."""
+
+    def __init__(self, run_id: str, budget: int = 0, stream: TextIO | None = None) -> None:
+        super().__init__(run_id, budget)
         self._stream = stream
+        self._wait = ""
+        self._closed = False
 
     def stage(self, text: str) -> None:
-        """Say what is waited for."""
+        """Print what is waited for."""
         if text:
-            print(text, file=self._stream, flush=True)
+            self._print(text)
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Print the line of an evaluation."""
-        print(evaluation_line(evaluation, self._progress.budget), file=self._stream, flush=True)
+        super().evaluation(evaluation)
+        self._print(evaluation_line(evaluation, self.progress.budget))
 
-    def refresh(self) -> None:
-        """Nothing to do: lines are not drawn twice."""
+    def status(self, status: Status) -> None:
+        """Print why the run waits, once."""
+        super().status(status)
+        wait = status.message if status.state in ("waiting", "paused") else ""
+        if wait and wait != self._wait:
+            self._print(f"{status.state}: {wait}")
+        self._wait = wait
 
     def close(self) -> None:
-        """Nothing to do."""
+        """Print no more."""
+        self._closed = True
+
+    def _print(self, text: str) -> None:
+        if not self._closed:
+            print(text, file=self._stream, flush=True)
 
 
-def make_view(progress: RunProgress) -> LiveView | PlainView:
-    """A live view where standard output is a terminal, lines elsewhere."""
+def make_view(run_id: str, budget: int = 0) -> RunView:
+    """Return a live view where standard output is a terminal, lines elsewhere."""
     drawable = sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
-    return LiveView(progress) if drawable else PlainView(progress)
+    return (LiveView if drawable else PlainView)(run_id, budget)
 
 
 def evaluation_line(evaluation: Evaluation, budget: int) -> str:
-    """An evaluation in one line."""
+    """Return an evaluation in one line."""
     parts = [f"hypervolume {evaluation.hypervolume:.6g}"]
-    parts += [_quantity(item) for item in evaluation.objectives]
+    parts += [_quantity(evaluation, name) for name in evaluation.objectives]
     parts.append(f"suggested in {evaluation.suggest_seconds:.2f} s")
     if not evaluation.valid:
-        parts.append(f"failed: {evaluation.error_msg or 'not fully measured'}")
+        parts.append(f"failed: {evaluation.error}")
     elif not evaluation.feasible:
         parts.append("infeasible")
-    number = f"{evaluation.index + 1:>{len(str(budget))}}"
-    return f"evaluation {number} of {budget}: {', '.join(parts)}"
+    width = len(str(budget))
+    where = f"evaluation {evaluation.index:>{width}}, {evaluation.index + 1:>{width}} of {budget}"
+    return f"{where} done: {', '.join(parts)}"
 
 
-def render(progress: RunProgress, stage: str = "") -> RenderableType:
-    """The live view."""
-    head = Text.assemble(("run ", "dim"), (progress.run_id, "bold"))
+def render(run_id: str, progress: RunProgress, stage: str = "") -> RenderableType:
+    """Return the live view."""
+    head = Text.assemble(("run ", "dim"), (run_id, "bold"))
     head.append(f"   {stage or _activity(progress.status)}", "cyan")
+    if progress.status.message:
+        head.append(f"\n{progress.status.message}", "yellow")
     if progress.last is None:
         return head
     return Group(head, _bar(progress), _figures(progress), Text(), _objectives(progress))
 
 
-def _activity(status: TunerStatus) -> str:
-    if status.state == TunerStatus.EVALUATING and status.phase:
+def _activity(status: Status) -> str:
+    if status.state == "evaluating" and status.phase:
         return f"machine: {status.phase} {status.fraction:.0%}"
     return _STATES.get(status.state, "")
 
 
 def _bar(progress: RunProgress) -> RenderableType:
-    elapsed = time.monotonic() - progress.started
-    left = elapsed / progress.evaluations * max(progress.budget - progress.evaluations, 0)
+    assert progress.last is not None
     row = Table.grid(padding=(0, 2, 0, 0))
+    done = progress.evaluations
     row.add_row(
-        f"evaluation [bold]{progress.evaluations}[/bold] of {progress.budget}",
-        ProgressBar(total=max(progress.budget, 1), completed=progress.evaluations, width=30),
-        f"[dim]{_duration(elapsed)}, about {_duration(left)} left[/dim]",
+        f"evaluation [bold]{progress.last.index}[/bold], {done} of {progress.budget} done",
+        ProgressBar(total=max(progress.budget, 1), completed=done, width=30),
+        f"[dim]{_duration(progress.seconds)}, about {_duration(progress.seconds_left)} left[/dim]",
     )
     return row
 
@@ -144,38 +221,44 @@ def _figures(progress: RunProgress) -> RenderableType:
 
 def _objectives(progress: RunProgress) -> RenderableType:
     assert progress.last is not None
+    last = progress.last
     table = Table(box=None, padding=(0, 3, 0, 0), header_style="dim")
     table.add_column("objective")
     table.add_column("last", justify="right")
     table.add_column("best", justify="right")
     table.add_column("unit", style="dim")
     table.add_column("best at", justify="right", style="dim")
-    for item in progress.last.objectives:
-        best = progress.best(item.name)
-        newest = best is not None and best[1] == progress.last.index
+    for name in last.objectives:
+        best = progress.best(name)
+        newest = best is not None and best[1] == last.index
         table.add_row(
-            item.name,
-            _value(item),
+            name,
+            _value(last, name),
             Text("—" if best is None else f"{best[0]:.4g}", "bold green" if newest else "bold"),
-            item.unit,
+            last.units.get(name, ""),
             "" if best is None else f"index {best[1]}",
         )
     return table
 
 
-def _value(item: NamedValue) -> str:
-    if math.isnan(item.value):
+def _value(evaluation: Evaluation, name: str) -> str:
+    value, stddev = evaluation.objectives[name], evaluation.stddevs[name]
+    if math.isnan(value):
         return "—"
-    spread = "" if math.isnan(item.stddev) else f" ± {item.stddev:.1g}"
-    return f"{item.value:.4g}{spread}"
+    spread = "" if math.isnan(stddev) else f" ± {stddev:.1g}"
+    return f"{value:.4g}{spread}"
 
 
-def _quantity(item: NamedValue) -> str:
-    value = "not measured" if math.isnan(item.value) else f"{item.value:.4g} {item.unit}".rstrip()
-    return f"{item.name} {value}"
+def _quantity(evaluation: Evaluation, name: str) -> str:
+    value = evaluation.objectives[name]
+    if math.isnan(value):
+        return f"{name} not measured"
+    return f"{name} {value:.4g} {evaluation.units.get(name, '')}".rstrip()
 
 
 def _duration(seconds: float) -> str:
+    if not math.isfinite(seconds):
+        return "?"
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"

@@ -1,4 +1,4 @@
-"""What is known of a run, gathered from the tuner's topics."""
+"""What is known of a run, gathered from what a `TunerClient` tells."""
 
 from __future__ import annotations
 
@@ -6,82 +6,91 @@ import math
 import statistics
 import time
 
-from mobo_msgs_py.msg import Evaluation, Objective, ParetoFront, Problem, TunerStatus
+from mobo_tuner.client import Evaluation, Front, Status
+from mobo_tuner.core.problem import Problem
 
 
 class RunProgress:
-    """What is known of a run, gathered from its messages.
+    """What is known of a run.
 
     Attributes:
-        run_id: its name; messages of other runs are left aside.
-        budget: evaluations asked for; 0 until it is known.
-        last: the latest evaluation.
-        evaluations, failed, feasible: how many are finished, and of what kind.
-        status: what the tuner said last.
-        front_size: points on the Pareto front.
+        budget: Number of evaluations asked for; 0 until it is known.
+        last: Evaluation that came last; None before the first.
+        evaluations: Number of finished evaluations.
+        failed: Number of those that are not valid.
+        feasible: Number of those that are feasible.
+        status: Status that the tuner published last.
+        front_size: Number of points on the Pareto front.
     """
 
-    def __init__(self, run_id: str, budget: int = 0) -> None:
-        self.run_id = run_id
+    def __init__(self, budget: int = 0) -> None:
         self.budget = budget
         self.last: Evaluation | None = None
         self.evaluations = 0
         self.failed = 0
         self.feasible = 0
-        self.status = TunerStatus()
+        self.status = Status("unknown")
         self.front_size = 0
-        self.started = time.monotonic()
-        self._directions: dict[str, int] = {}
+        self._started = time.monotonic()
+        self._maximized: set[str] = set()
         self._extremes: dict[str, tuple[tuple[float, int], tuple[float, int]]] = {}
         self._suggest_seconds: list[float] = []
-        self._seen: set[int] = set()
+        self._total_seconds: list[float] = []
 
     def set_problem(self, problem: Problem) -> None:
         """Take over which objectives are maximised."""
-        if problem.run_id == self.run_id:
-            self._directions = {item.name: item.direction for item in problem.objectives}
+        self._maximized = {o.name for o in problem.objectives if o.direction == "maximize"}
 
-    def set_status(self, status: TunerStatus) -> None:
+    def set_status(self, status: Status) -> None:
         """Take over what the tuner does."""
-        if status.run_id == self.run_id:
-            self.status = status
-            self.budget = status.budget or self.budget
+        self.status = status
+        self.budget = status.budget or self.budget
 
-    def set_front(self, front: ParetoFront) -> None:
+    def set_front(self, front: Front) -> None:
         """Take over the size of the front."""
-        if front.run_id == self.run_id:
-            self.front_size = len(front.points)
+        self.front_size = len(front.points)
 
-    def add(self, evaluation: Evaluation) -> bool:
-        """Take over one evaluation; return whether it is new."""
-        if evaluation.run_id != self.run_id or evaluation.index in self._seen:
-            return False
-        self._seen.add(evaluation.index)
+    def add(self, evaluation: Evaluation) -> None:
+        """Take over one evaluation."""
         self.last = evaluation
         self.evaluations += 1
         self.failed += not evaluation.valid
         self.feasible += evaluation.feasible
         self._suggest_seconds.append(evaluation.suggest_seconds)
+        self._total_seconds.append(evaluation.total_seconds)
         if evaluation.feasible:
-            for item in evaluation.objectives:
-                here = (item.value, evaluation.index)
-                low, high = self._extremes.get(item.name, (here, here))
-                self._extremes[item.name] = (min(low, here), max(high, here))
-        return True
+            for name, value in evaluation.objectives.items():
+                here = (value, evaluation.index)
+                low, high = self._extremes.get(name, (here, here))
+                self._extremes[name] = (min(low, here), max(high, here))
 
     def best(self, name: str) -> tuple[float, int] | None:
-        """The best feasible value of an objective so far, and of which evaluation it is."""
+        """Return the best feasible value of an objective and the index of its evaluation."""
         if name not in self._extremes:
             return None
         low, high = self._extremes[name]
-        return high if self._directions.get(name) == Objective.MAXIMIZE else low
+        return high if name in self._maximized else low
 
     @property
     def hypervolume(self) -> float:
-        """Of the front after the latest evaluation."""
-        return float(self.last.hypervolume) if self.last else 0.0
+        """Hypervolume of the front after the latest evaluation."""
+        return self.last.hypervolume if self.last else 0.0
 
     @property
     def suggest_median(self) -> float:
         """Median wall time of a suggestion [s]; NaN before the first."""
-        return statistics.median(self._suggest_seconds) if self._suggest_seconds else math.nan
+        return _median(self._suggest_seconds)
+
+    @property
+    def seconds(self) -> float:
+        """Time since the run was first shown [s]."""
+        return time.monotonic() - self._started
+
+    @property
+    def seconds_left(self) -> float:
+        """Time that the rest of the budget will take [s]; NaN before the first evaluation."""
+        return max(self.budget - self.evaluations, 0) * _median(self._total_seconds)
+
+
+def _median(values: list[float]) -> float:
+    return statistics.median(values) if values else math.nan

@@ -1,0 +1,99 @@
+"""What a terminal shows of a run."""
+
+from __future__ import annotations
+
+import io
+import math
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from mobo_tuner.client import Evaluation, Front, Status
+from mobo_tuner.core.problem import Objective, Problem
+from mobo_tuner.displays.console_view import PlainView, evaluation_line, render
+from mobo_tuner.displays.progress import RunProgress
+
+EVALUATION = Evaluation(
+    run_id="run",
+    index=31,
+    source="model",
+    attempts=1,
+    stamp=0.0,
+    setpoint={"K1": 480.0},
+    readbacks={},
+    diagnostics={"eps_x": 32.5, "yield": 0.5},
+    objectives={"eps_x": 32.5, "yield": 0.5},
+    stddevs={"eps_x": 0.25, "yield": math.nan},
+    units={"K1": "A", "eps_x": "mm mrad"},
+    valid=True,
+    feasible=True,
+    non_dominated=True,
+    hypervolume=1234.5,
+    error="",
+    suggest_seconds=0.25,
+    machine_seconds=1.0,
+    total_seconds=2.0,
+)
+
+
+def shown(progress: RunProgress, stage: str = "") -> str:
+    """Return the live view as text."""
+    console = Console(file=io.StringIO(), width=100)
+    with console.capture() as capture:
+        console.print(render("run", progress, stage))
+    return capture.get()
+
+
+@pytest.mark.parametrize(
+    ("change", "end"),
+    [
+        ({}, "suggested in 0.25 s"),
+        ({"feasible": False}, "suggested in 0.25 s, infeasible"),
+        (
+            {"valid": False, "feasible": False, "error": "no beam"},
+            "suggested in 0.25 s, failed: no beam",
+        ),
+    ],
+)
+def test_a_line_counts_from_0_as_the_tuner_does(change: dict[str, object], end: str) -> None:
+    line = evaluation_line(replace(EVALUATION, **change), 60)
+    assert line.startswith("evaluation 31, 32 of 60 done: hypervolume 1234.5, eps_x 32.5 mm mrad")
+    assert line.endswith(end)
+
+
+def test_the_live_view_shows_figures_of_the_run_and_why_it_waits() -> None:
+    progress = RunProgress(60)
+    assert "looking" in shown(progress, "looking")
+    progress.set_problem(
+        Problem((), (Objective("eps_x", 150.0), Objective("yield", 0.0, "maximize")))
+    )
+    progress.add(replace(EVALUATION, index=30, objectives={"eps_x": 40.0, "yield": 0.75}))
+    progress.add(replace(EVALUATION, index=31))
+    progress.add(replace(EVALUATION, index=32, valid=False, feasible=False))
+    progress.set_front(Front("run", (), 0.0, {}, {}))
+    progress.set_status(Status("paused", budget=60, message="paused: a limit was violated"))
+    text = shown(progress)
+    assert "evaluation 32, 3 of 60 done" in text
+    assert "a limit was violated" in text
+    assert "0 on the front   2 feasible   1 failed" in text
+    assert "about 1:54 left" in text  # 57 evaluations of 2 s
+    rows = {line.split()[0]: line for line in text.splitlines() if line.strip()}
+    assert rows["eps_x"].split()[-2:] == ["index", "31"]
+    assert rows["yield"].split()[-3:] == ["0.75", "index", "30"]
+
+
+def test_the_plain_view_says_once_why_the_run_waits() -> None:
+    stream = io.StringIO()
+    view = PlainView("run", 60, stream)
+    waiting = Status("waiting", message="the machine is not there")
+    for status in (waiting, waiting, Status("evaluating"), Status("paused", message="by hand")):
+        view.status(status)
+    view.evaluation(EVALUATION)
+    view.close()
+    view.evaluation(EVALUATION)
+    assert stream.getvalue().splitlines() == [
+        "waiting: the machine is not there",
+        "paused: by hand",
+        evaluation_line(EVALUATION, 60),
+    ]
