@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from launcher.errors import UsageError
+from launcher.machine import split_command
 from launcher.ros_domain import LAST as LAST_DOMAIN
 from launcher.run_folder import RUN_ID, RUN_ID_RULE
 
@@ -53,6 +54,11 @@ def _speed(text: str) -> float:
 def _run_id(text: str) -> str:
     if not RUN_ID.fullmatch(text):
         raise argparse.ArgumentTypeError(f"'{text}' is no run id; allowed are {RUN_ID_RULE}")
+    return text
+
+
+def _command(text: str) -> str:
+    split_command(text)
     return text
 
 
@@ -148,6 +154,7 @@ def _add_machine(verb: argparse.ArgumentParser, default: str) -> None:
     verb.add_argument(
         "--machine",
         metavar="COMMAND",
+        type=_command,
         help=f"program that is started as the machine's node (default: {default})",
     )
 

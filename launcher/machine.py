@@ -104,7 +104,7 @@ class Machine:
         if self.section:
             return MACHINE_NODES[self.section].program.command(python, config, values)
         if self.command:
-            return [*split(self.command), "--ros-args", "--params-file", str(config)]
+            return [*split_command(self.command), "--ros-args", "--params-file", str(config)]
         return None
 
     def check_program(self, path: str) -> None:
@@ -118,7 +118,7 @@ class Machine:
         """
         if not self.command:
             return
-        program = split(self.command)[0]
+        program = split_command(self.command)[0]
         where = str(self.folder / program) if os.sep in program else program
         if not self.folder.is_dir() or shutil.which(where, path=path) is None:
             raise UsageError(
@@ -127,7 +127,7 @@ class Machine:
             )
 
 
-def split(command: str) -> list[str]:
+def split_command(command: str) -> list[str]:
     """Return the words of a command, of which there is at least one.
 
     Raises:

@@ -8,6 +8,9 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +28,7 @@ from launcher.processes import Processes
 from tests.support.fake_project import ROOT, TIMEOUT, wait_until
 
 VENV = 'mkdir -p "{venv}/bin" && touch "{venv}/bin/python"'
+NOBODY = 65534  # id of the account that owns nothing
 FAKE_STAGES = (
     Stage("venv", "making", None, ("sh", "-c", f'{VENV} && echo venv >> "{{venv}}/../done"')),
     Stage("deep", "deep", "venv", ("sh", "-c", 'echo deep >> "{venv}/../done"'), ("deep.txt",)),
@@ -182,6 +186,37 @@ with Processes() as processes:
     both = [subprocess.Popen([sys.executable, "-c", program]) for _ in range(2)]
     assert [process.wait(timeout=TIMEOUT) for process in both] == [0, 0]
     assert (root / "done").read_text().split() == ["venv", "deep"]
+
+
+@contextmanager
+def another_account(folder: Path) -> Iterator[None]:
+    """Be somebody who can read a folder and not write it."""
+    folder.chmod(0o555)
+    superuser = os.geteuid() == 0
+    if superuser:
+        os.seteuid(NOBODY)
+    try:
+        yield
+    finally:
+        if superuser:
+            os.seteuid(0)
+        folder.chmod(0o755)
+
+
+def test_another_account_s_folder_is_used_as_it_is_or_its_owner_is_named() -> None:
+    # Not pytest's folder, which other accounts cannot enter.
+    with Processes() as processes, tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        (root / "deep.txt").write_text("1")
+        owner = root.owner()
+        with another_account(root):
+            with pytest.raises(SetupError) as caught:
+                Environment(root, FAKE_STAGES[:2]).set_up(processes)
+            Environment(root, ()).set_up(processes)  # there is nothing to do
+    message = str(caught.value)
+    assert folder in message
+    assert owner in message
+    assert "\n" not in message
 
 
 def test_the_project_s_own_stages_build_on_each_other_and_have_their_sources() -> None:

@@ -5,12 +5,13 @@ The programs are real processes: what they do at which signal is what the tests 
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from launcher.environment import DEVELOPMENT_STAGES, STAGES, Environment
@@ -34,15 +35,25 @@ def events():
         return file.read()
 
 def stop(number, frame):
-    note("stopping")
+    again = any(event == f"{name} stopping" for event in events().splitlines())
+    note("stopping again" if again else "stopping")
     if behaviour == "slow":
         time.sleep(0.7)
+    if behaviour == "goes back" and not again:
+        time.sleep(2.5)
     note("stopped")
     sys.exit(4 if behaviour == "ends badly" else 0)
 
 signal.signal(signal.SIGINT, signal.SIG_IGN if behaviour == "stubborn" else stop)
 signal.signal(signal.SIGTERM, signal.SIG_IGN if behaviour == "stubborn" else stop)
 note(f"started {os.getpid()}")
+if name == "resume_config":
+    run_folder, out, *options = sys.argv[sys.argv.index(module) + 1 :]
+    config = options[1] if options else os.path.join(run_folder, "config.yaml")
+    shutil.copy(config, out)
+    sys.exit(0)
+with open(f"{os.environ['PLAY_EVENTS']}.{name}", "w") as file:
+    json.dump(sys.argv[1:], file)
 if name == "check_config":
     if behaviour == "refuse":
         sys.exit("reference of eps_x is 1.0; it must lie in its truncation box")
@@ -51,7 +62,7 @@ if name == "check_config":
     [copies] = [word.partition("=")[2] for word in sys.argv if word.startswith("--copy-to=")]
     config = next(word for word in sys.argv if word.endswith(".yaml"))
     shutil.copy(config, os.path.join(copies, "config.yaml"))
-    on_abort = "restore" if behaviour == "goes back" else "hold"
+    on_abort = "restore" if behaviour == "restore" else "hold"
     print(json.dumps({"section": section, "files": [], "on_abort": on_abort}))
     sys.exit(0)
 if name == "pytest":
@@ -62,6 +73,11 @@ if name == "pytest":
 if name == "report":
     if behaviour == "crash":
         sys.exit("the journal is damaged")
+    if behaviour == "all failed":
+        with open("journal.jsonl", "w") as file:
+            file.write(json.dumps({"type": "evaluation", "error_msg": "K1 is stuck"}) + "\\n")
+        with open("summary.json", "w") as file:
+            json.dump({"evaluations": 2, "failed": 2}, file)
     print("the front")
     sys.exit(0)
 if behaviour == "crash":
@@ -75,13 +91,15 @@ if name == "console":
         file.write("{}\\n")
     print("tuning")
     for _ in range(600):
-        if all(f"{node} ready" in events() for node in ("machine", "tuner", "recorder")):
+        if all(f"{node} ready" in events() for node in ("tuner", "recorder")):
             break
         time.sleep(0.05)
     note("ready")
     if behaviour == "fail":
         sys.exit("[INFO] something\\nthe machine refused evaluation 3")
-    if behaviour not in ("wait", "stubborn"):
+    if behaviour == "canceled":
+        sys.exit(130)
+    if behaviour not in ("wait", "stubborn", "goes back"):
         sys.exit(0)
 note("ready")
 for _ in range(600):
@@ -113,12 +131,24 @@ class FakeProject:
         for stage in stages:
             environment.mark_done(stage, environment.fingerprint(stage))
 
-    def start(self, *arguments: str, **behaviour: str) -> subprocess.Popen[str]:
+    def start(
+        self,
+        *arguments: str,
+        folder: Path | None = None,
+        variables: Mapping[str, str] | None = None,
+        **behaviour: str,
+    ) -> subprocess.Popen[str]:
         """Start the entry script; keywords say how programs behave, e.g. machine='crash'."""
         plays = {f"PLAY_{name.upper()}": value for name, value in behaviour.items()}
         process = subprocess.Popen(
             [sys.executable, str(self.root / "mobo.py"), *arguments],
-            env={**os.environ, "PLAY_EVENTS": str(self.events_file), **plays},
+            env={
+                **os.environ,
+                "PLAY_EVENTS": str(self.events_file),
+                **plays,
+                **(variables or {}),
+            },
+            cwd=folder,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -127,9 +157,15 @@ class FakeProject:
         self._started.append(process)
         return process
 
-    def run(self, *arguments: str, **behaviour: str) -> tuple[int, str, str]:
+    def run(
+        self,
+        *arguments: str,
+        folder: Path | None = None,
+        variables: Mapping[str, str] | None = None,
+        **behaviour: str,
+    ) -> tuple[int, str, str]:
         """Run the entry script to its end: exit status, output, errors."""
-        process = self.start(*arguments, **behaviour)
+        process = self.start(*arguments, folder=folder, variables=variables, **behaviour)
         output, errors = process.communicate(timeout=TIMEOUT)
         return process.returncode, output, errors
 
@@ -137,6 +173,11 @@ class FakeProject:
     def events(self) -> list[str]:
         """What the programs did, in order."""
         return self.events_file.read_text().splitlines()
+
+    def arguments(self, name: str) -> list[str]:
+        """Arguments with which a program was started last."""
+        words: list[str] = json.loads(Path(f"{self.events_file}.{name}").read_text())
+        return words
 
     def wait_for_event(self, *events: str) -> None:
         """Wait until all of the events have happened."""

@@ -77,7 +77,7 @@ def test_a_wrong_command_line_is_one_sentence(arguments: list[str], named: str) 
 def test_help_names_every_verb() -> None:
     done = mobo("--help")
     assert done.returncode == 0
-    for verb in ("run", "test", "list", "show", "resume", "report"):
+    for verb in ("run", "check", "test", "list", "show", "resume", "report", "rebuild", "replay"):
         assert f"\n    {verb} " in done.stdout
 
 
@@ -135,6 +135,7 @@ def test_a_run_leaves_its_folder_and_nothing_else(project: FakeProject) -> None:
     assert facts["reason"] == ""
     assert facts["arguments"]["evaluations"] == 7
     assert f"ROS_DOMAIN_ID={facts['domain_id']}" in output
+    assert facts["machine"] == {"section": "awa_sim", "files": []}
     assert (folder / "config.yaml").read_text() == "/**: {}\n"
     assert {path.name for path in (folder / "log").iterdir()} >= {f"{name}.log" for name in ALL}
     assert project.alive() == []
@@ -175,6 +176,108 @@ def test_a_bad_configuration_starts_nothing(project: FakeProject) -> None:
     assert errors == "mobo.py: reference of eps_x is 1.0; it must lie in its truncation box\n"
     assert {event.split()[0] for event in project.events} == {"check_config"}
     assert not (project.root / "runs").exists()
+
+
+# ------------------------------------------------------------------ which machine
+
+
+def facts_of(output: str) -> dict[str, Any]:
+    facts: dict[str, Any] = json.loads(Path(output.splitlines()[-1], "run.json").read_text())
+    return facts
+
+
+def test_a_program_is_started_as_the_machine_and_again_when_the_run_is_resumed(
+    project: FakeProject, tmp_path: Path
+) -> None:
+    folder = tmp_path / "lab"
+    folder.mkdir()
+    command = "python -m lab.machine --rate '2 Hz'"
+    words = ("run", "--machine", command, "--run-id", "mine")
+    status, output, errors = project.run(*words, folder=folder)
+    assert (status, errors) == (0, "")
+    assert facts_of(output)["machine"] == {"command": command, "folder": str(folder)}
+    given = project.arguments("machine")
+    assert given == [
+        *("-m", "lab.machine", "--rate", "2 Hz", "--ros-args", "--params-file"),
+        str(project.root / "runs" / "mine" / "config.yaml"),
+    ]
+    for number in (2, 3):
+        status, output, errors = project.run("resume", "mine" if number == 2 else "mine-2")
+        assert (status, errors) == (0, "")
+        facts = facts_of(output)
+        assert facts["run_id"] == f"mine-{number}"
+        assert facts["machine"] == {"command": command, "folder": str(folder)}
+        assert project.arguments("machine")[:4] == given[:4]
+
+
+def test_another_machine_is_resumed_where_it_is_named(project: FakeProject) -> None:
+    assert project.run("run", "--machine", "python -m lab.machine", "--run-id", "mine")[0] == 0
+    status, output, _ = project.run("resume", "mine", "--machine", "python -m other.machine")
+    assert status == 0
+    assert facts_of(output)["machine"]["command"] == "python -m other.machine"
+    assert project.arguments("machine")[1] == "other.machine"
+
+
+def test_a_file_without_the_section_of_the_machine_is_not_resumed(project: FakeProject) -> None:
+    assert project.run("run", "--run-id", "mine")[0] == 0
+    config = str(project.root / "config" / "awa.yaml")
+    status, _, errors = project.run("resume", "mine", "--config", config, check_config="external")
+    assert status == 2
+    assert config in errors
+    assert "section 'awa_sim'" in errors
+    assert not (project.root / "runs" / "mine-2").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "environment", "domain", "why"),
+    [
+        (["--domain-id", "61"], {"ROS_DOMAIN_ID": "62"}, 61, "--domain-id"),
+        ([], {"ROS_DOMAIN_ID": "62"}, 62, "ROS_DOMAIN_ID"),
+        ([], {"ROS_DOMAIN_ID": ""}, 0, "ROS_DOMAIN_ID is not set"),
+    ],
+)
+def test_a_machine_that_is_there_already_is_met_in_its_domain(
+    project: FakeProject, options: list[str], environment: dict[str, str], domain: int, why: str
+) -> None:
+    words = ("run", *options, "--run-id", "mine")
+    status, output, errors = project.run(*words, variables=environment, check_config="external")
+    assert (status, errors) == (0, "")
+    assert f"ROS domain {domain} ({why})" in output.splitlines()[0]
+    facts = facts_of(output)
+    assert (facts["domain_id"], facts["machine"]) == (domain, {"external": True})
+    assert not any(event.startswith("machine") for event in project.events)
+    # It is looked for in the same domain when the run is resumed.
+    variables = {"ROS_DOMAIN_ID": "63"}
+    status, output, _ = project.run("resume", "mine", variables=variables, check_config="external")
+    assert (status, facts_of(output)["domain_id"]) == (0, domain)
+
+
+@pytest.mark.parametrize(
+    ("words", "behaviour", "variables", "named"),
+    [
+        (["--machine", "nowhere --fast"], "", {}, "nowhere --fast"),
+        (["--machine", "./nowhere"], "", {}, "./nowhere"),
+        (["--machine", ""], "", {}, "--machine"),
+        (["--machine", "python 'open"], "", {}, "python 'open"),
+        (["--machine", "python -m lab.machine", "--speed", "3"], "", {}, "--speed is 3"),
+        (["--speed", "3"], "external", {}, "--speed is 3"),
+        ([], "external", {"ROS_DOMAIN_ID": "102"}, "ROS_DOMAIN_ID is '102'"),
+        ([], "external", {"ROS_DOMAIN_ID": "lab"}, "ROS_DOMAIN_ID is 'lab'"),
+    ],
+)
+def test_a_machine_that_cannot_be_is_one_sentence(
+    project: FakeProject, words: list[str], behaviour: str, variables: dict[str, str], named: str
+) -> None:
+    status, output, errors = project.run("run", *words, variables=variables, check_config=behaviour)
+    assert (status, output) == (2, "")
+    assert errors.count("\n") == 1
+    assert named in errors
+    assert not (project.root / "runs").exists()
+
+
+def test_a_program_that_does_not_handle_ctrl_c_spoils_no_run(project: FakeProject) -> None:
+    command = "sh -c 'exec sleep 60' machine"
+    assert project.run("run", "--machine", command)[0] == 0
 
 
 # ------------------------------------------------------------------ runs that fail
@@ -234,6 +337,21 @@ def test_a_failed_report_fails_the_run(project: FakeProject) -> None:
     assert failure(project, output)["state"] == "failed"
 
 
+def test_a_run_that_another_client_cancels_is_canceled(project: FakeProject) -> None:
+    status, output, errors = project.run("run", console="canceled")
+    assert status == 130
+    assert errors == "mobo.py: the run was canceled by another client\n"
+    assert failure(project, output)["state"] == "canceled"
+
+
+def test_a_run_without_a_valid_evaluation_fails(project: FakeProject) -> None:
+    status, output, errors = project.run("run", report="all failed")
+    assert status == 1
+    assert "all of its 2 evaluations failed" in errors
+    assert "K1 is stuck" in errors
+    assert failure(project, output)["state"] == "failed"
+
+
 def test_a_taken_domain_is_refused(project: FakeProject) -> None:
     process = project.start("run", console="wait")
     project.wait_for_event("console ready")
@@ -278,6 +396,36 @@ def test_an_impatient_user_does_not_spoil_the_bag(project: FakeProject) -> None:
     process.communicate(timeout=TIMEOUT)
     assert project.events.count("recorder stopping") == 1
     assert "recorder stopped" in project.events
+
+
+def test_ctrl_c_waits_for_a_machine_that_goes_back(project: FakeProject) -> None:
+    process = project.start("run", check_config="restore", console="goes back")
+    project.wait_for_event("console ready")
+    process.send_signal(signal.SIGINT)
+    output, errors = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 130
+    assert failure(project, output)["state"] == "interrupted"
+    assert errors == "mobo.py: the run was stopped by SIGINT\n"
+    events = project.events
+    assert events.index("console stopped") < events.index("machine stopping")
+    assert "console stopping again" not in events
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_second_signal_does_not_wait_for_a_machine_that_goes_back(
+    project: FakeProject, number: signal.Signals
+) -> None:
+    process = project.start("run", check_config="restore", console="goes back")
+    project.wait_for_event("console ready")
+    process.send_signal(signal.SIGINT)
+    project.wait_for_event("console stopping")
+    process.send_signal(number)
+    sent = time.monotonic()
+    project.wait_for_event("console stopping again")
+    output, _ = process.communicate(timeout=TIMEOUT)
+    assert time.monotonic() - sent < EXIT_LIMIT
+    assert process.returncode == 128 + number
+    assert failure(project, output)["state"] == "interrupted"
 
 
 def test_a_killed_entry_script_leaves_no_process(project: FakeProject) -> None:

@@ -1,0 +1,92 @@
+"""What `mobo.py check` says of a parameter file."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from mobo_tuner.core.problem import Problem
+from mobo_tuner.displays.configuration import Configuration, explanation
+from mobo_tuner.machine.description import MachineDescription, Variable
+from mobo_tuner.ros.parameters import check_section
+from mobo_tuner.tuner.parameters import TUNER
+
+MACHINE = MachineDescription("injector", {"K1": Variable(0.0, 900.0, "A")}, {"dE": "MeV"}, 12.0)
+PROBLEM = {
+    "variables": {"K1": {"min": 400.0, "max": 550.0, "unit": "A"}},
+    "objectives": {
+        "dE": {"reference": 0.5, "truncation": [0.0, 0.52], "unit": "MeV"},
+        "charge": {"direction": "maximize", "reference": 1.0},
+    },
+    "constraints": {
+        "transmission": {"min": 0.98, "critical": True},
+        "halo": {"max": 0.1, "unit": "mm"},
+        "energy": {"min": 10.0, "max": 12.0},
+    },
+    "observables": {"temperature": {"unit": "K"}},
+}
+
+
+def explained(problem: dict[str, Any] = PROBLEM, **changes: Any) -> str:
+    tuner = check_section("tuner", changes.pop("tuner", {}), TUNER)
+    facts = {"section": "awa_sim", "machine": MACHINE, "program": ""} | changes
+    return "\n".join(
+        explanation(Configuration("my.yaml", Problem.from_dict(problem), tuner, **facts))
+    )
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("my.yaml",),
+        ("injector", "awa_sim"),
+        ("K1", "400 to 550 A"),
+        ("dE", "minimize", "0.5 MeV", "0 to 0.52 MeV"),
+        ("charge", "maximize", "1"),
+        ("transmission", "at least 0.98", "critical"),
+        ("halo", "at most 0.1 mm"),
+        ("energy", "10 to 12"),
+        ("temperature [K]",),
+        ("60 evaluations",),
+        ("on_abort: hold",),
+        ("on_violation: hold",),
+        ("12 min", "12 s"),  # 60 evaluations of 12 s
+    ],
+)
+def test_each_fact_stands_in_a_line_of_its_own(words: tuple[str, ...]) -> None:
+    assert any(all(word in line for word in words) for line in explained().splitlines())
+
+
+def test_the_ends_and_the_budget_are_those_of_the_tuner() -> None:
+    text = explained(tuner={"on_abort": "best", "evaluations": 7, "initial_evaluations": 3})
+    assert "on_abort: best" in text
+    assert "7 evaluations, the first 3" in text
+
+
+def test_only_a_critical_constraint_can_be_violated() -> None:
+    problem = {name: PROBLEM[name] for name in ("variables", "objectives")}
+    text = explained(problem)
+    assert "on_violation" not in text
+    assert "constraints  none" in text
+    assert "observables  none" in text
+
+
+@pytest.mark.parametrize(
+    ("program", "words"), [("python mine.py", "'python mine.py'"), ("", "there already")]
+)
+def test_a_machine_that_is_not_described_beforehand_is_asked_later(
+    program: str, words: str
+) -> None:
+    text = explained(machine=None, section="", program=program)
+    assert words in text
+    assert "time         not known" in text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.01, "0.6 s"), (60.0, "60 min"), (600.0, "10.0 h"), (None, "not known")]
+)
+def test_the_time_is_told_in_a_fitting_unit(seconds: float | None, text: str) -> None:
+    machine = MachineDescription("injector", MACHINE.variables, MACHINE.diagnostics, seconds)
+    [line] = [line for line in explained(machine=machine).splitlines() if line[2:6] == "time"]
+    assert text in line

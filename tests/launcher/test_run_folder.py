@@ -1,0 +1,74 @@
+"""The entry script and the tuner, which cannot share a module, agree on what a run's folder is."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from launcher import run_folder
+from launcher.errors import RunFolderError
+from launcher.run_folder import RunFolder
+from mobo_tuner.nodes import check_config
+from mobo_tuner.runs import journal, resume_config
+from mobo_tuner.runs.run_id import check_run_id
+
+
+def test_the_names_of_files_are_those_of_the_tuner() -> None:
+    assert run_folder.JOURNAL_FILE == journal.FILE_NAME
+    assert run_folder.CONFIG_FILE == resume_config.CONFIG_FILE == check_config.CONFIG_FILE
+
+
+@pytest.mark.parametrize(
+    "run_id",
+    ["a", "0", "run-1", "A_b.c-d", "x" * 100, "", "x" * 101, ".a", "-a", "a/b", "ä", "a\n"],
+)
+def test_the_rule_for_names_of_runs_is_that_of_the_tuner(run_id: str) -> None:
+    if run_folder.RUN_ID.fullmatch(run_id):
+        assert check_run_id(run_id) == run_id
+        return
+    with pytest.raises(ValueError, match="run_id") as error:
+        check_run_id(run_id)
+    assert run_folder.RUN_ID_RULE.split(",")[0] in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("lines", "error"),
+    [
+        ([], ""),
+        ([{"type": "start"}], ""),
+        ([{"type": "evaluation", "error_msg": "stuck"}, {"type": "end"}], "stuck"),
+        ([{"type": "evaluation", "error_msg": "a"}, {"type": "evaluation", "error_msg": ""}], ""),
+        (["not JSON"], ""),
+    ],
+)
+def test_the_last_error_is_that_of_the_last_evaluation(
+    tmp_path: Path, lines: list[object], error: str
+) -> None:
+    text = "".join(f"{line if isinstance(line, str) else json.dumps(line)}\n" for line in lines)
+    (tmp_path / "journal.jsonl").write_text(text)
+    assert RunFolder(tmp_path).last_error() == error
+
+
+def test_a_folder_that_is_gone_adopts_nothing(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(RunFolderError, match="file"):
+        RunFolder(tmp_path / "file").adopt(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("machine", "shown"),
+    [
+        ({"section": "awa_sim", "files": []}, "awa_sim"),
+        ({"command": "python mine.py", "folder": "/lab"}, "python mine.py"),
+        ({"external": True}, "ROS domain 42"),
+    ],
+)
+def test_the_machine_of_a_run_is_shown(
+    tmp_path: Path, machine: dict[str, object], shown: str
+) -> None:
+    folder = RunFolder(tmp_path)
+    folder.record({"domain_id": 42, "machine": machine})
+    [line] = [line for line in folder.description().splitlines() if line.startswith("  machine")]
+    assert shown in line
