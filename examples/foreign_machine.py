@@ -69,8 +69,8 @@ class ForeignMachine(Node):
         self.create_service(Trigger, "camera/fire", self.fire, callback_group=group)
         self.create_service(GetParameters, "camera/look", self.look, callback_group=group)
         description = f"one of {', '.join(FAULTS)}"
+        self.add_on_set_parameters_callback(self.set_fault)  # first: it hears of the start, too
         self.declare_parameter("fault", "none", ParameterDescriptor(description=description))
-        self.add_on_set_parameters_callback(self.set_fault)
 
     def command(self, message: JointState) -> None:
         """New currents for some supplies."""

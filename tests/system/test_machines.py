@@ -1,0 +1,218 @@
+"""Each kind of machine from the one command: run, kill -9 of the machine and of mobo.py, resume."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+import yaml
+from action_msgs.srv import CancelGoal
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from launcher.ros_domain import RosDomain
+from tests.support.mobo_run import ROOT, TIMEOUT, Run
+
+FILES = {"bag", "config.yaml", "journal.jsonl", "log", "run.json", "summary.json"}
+PROGRAM = "python examples/my_machine.py"
+
+
+@dataclass
+class Lab:
+    """What is there of a machine before a run, and how a run gets it.
+
+    Attributes:
+        config: Parameter file.
+        options: Options of the first run.
+        elsewhere: Program that runs elsewhere; empty if there is none.
+        node: Words by which the machine's process is known; empty if it runs elsewhere.
+        folder: For files.
+    """
+
+    config: Path
+    options: tuple[str, ...]
+    elsewhere: str
+    node: str
+    folder: Path
+    process: subprocess.Popen[bytes] | None = None
+
+    def start(self, *parameters: str) -> None:
+        """Start what runs elsewhere."""
+        if not self.elsewhere:
+            return
+        given = [word for text in parameters for word in ("-p", text)]
+        with (self.folder / "elsewhere.log").open("ab") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, str(ROOT / "examples" / self.elsewhere), "--ros-args", *given],
+                stdout=log,
+                stderr=log,
+                env={**os.environ, "ROS_LOG_DIR": str(self.folder)},
+            )
+
+    def kill_machine(self, run: Run) -> None:
+        """Kill the machine's node."""
+        if self.node:
+            os.kill(run.node(self.node), signal.SIGKILL)
+        else:
+            self.stop()
+
+    def stop(self) -> None:
+        """Kill what runs elsewhere."""
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait(10.0)
+            self.process = None
+
+
+KINDS = {
+    "simulator": ("toy.yaml", ("--speed", "1000"), "", "awa_sim_node.node"),
+    "bridge": ("foreign.yaml", (), "foreign_machine.py", "machine_bridge"),
+    "program": ("my_machine.yaml", ("--machine", PROGRAM), "", "my_machine.py"),
+    "external": ("my_machine.yaml", (), "my_machine.py", ""),
+}
+
+
+@pytest.fixture
+def lab(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Lab]:
+    """The lab of one kind of machine, in a ROS domain of its own where that matters."""
+    name, options, elsewhere, node = KINDS[request.param]
+    content = yaml.safe_load((ROOT / "config" / name).read_text())
+    # So that a run whose machine is gone does not wait for it for a minute.
+    content["tuner"]["ros__parameters"] |= {"machine_return_timeout": 1.0, "machine_timeout": 2.0}
+    bridge = content.get("machine_bridge", {}).get("ros__parameters")
+    if bridge:
+        mapping = tmp_path / bridge["mapping"]
+        mapping.write_bytes((ROOT / "config" / bridge["mapping"]).read_bytes())
+    config = tmp_path / name
+    config.write_text(yaml.safe_dump(content))
+    with RosDomain() as domain:  # the run takes it again
+        for variable, value in domain.environment.items():
+            monkeypatch.setenv(variable, value)
+    monkeypatch.chdir(ROOT)
+    lab = Lab(config, options, elsewhere, node, tmp_path)
+    yield lab
+    lab.stop()
+
+
+def facts_of(run: Run) -> dict[str, Any]:
+    facts: dict[str, Any] = json.loads((run.folder / "run.json").read_text())
+    return facts
+
+
+def state_in_list(run: Run) -> str:
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "mobo.py"), "list", "--runs-dir", str(run.runs_dir)],
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT,
+        check=True,
+    )
+    [row] = [line.split() for line in done.stdout.splitlines() if line.split()[0] == run.run_id]
+    return row[1]
+
+
+@pytest.mark.timeout(240)
+@pytest.mark.parametrize("lab", KINDS, indirect=True)
+def test_a_run_is_killed_and_resumed_with_the_machine_that_it_had(
+    lab: Lab, start: Callable[..., Run]
+) -> None:
+    lab.start()
+    run = start("--evaluations", "500", *lab.options, config=str(lab.config), run_id="first")
+    run.until(lambda: len(run.evaluations()) >= 2, "two evaluations")
+    lab.kill_machine(run)
+    status, out, err = run.wait()
+    assert status == 1, err
+    assert err.splitlines()[0].startswith("mobo.py: the run failed: the machine ")
+    assert out.splitlines()[-1] == str(run.folder)
+    assert facts_of(run)["state"] == state_in_list(run) == "failed"
+    run.assert_nothing_left()
+
+    lab.stop()
+    lab.start()
+    second = start("--evaluations", "500", resumed="first", run_id="second")
+    told = len(run.evaluations())
+    second.until(lambda: len(second.evaluations()) >= told + 2, "two more evaluations")
+    assert facts_of(second)["machine"] == facts_of(run)["machine"]
+    second.process.kill()
+    second.process.wait(TIMEOUT)
+    second.assert_nothing_left(timeout=10.0)
+    assert state_in_list(second) == "died"
+
+    lab.stop()
+    lab.start()
+    budget = len(second.evaluations()) + 2
+    third = start("--evaluations", str(budget), resumed="second", run_id="third")
+    status, out, err = third.wait()
+    assert (status, err) == (0, "")
+    assert f"evaluation {budget} of {budget}: hypervolume " in out
+    assert f"run third is finished (budget): {budget} evaluations" in out
+    assert out.splitlines()[-1] == str(third.folder)
+    assert third.evaluations()[: budget - 2] == second.evaluations()
+    facts = facts_of(third)
+    assert (facts["state"], state_in_list(third)) == ("finished", "finished")
+    assert facts["machine"] == facts_of(run)["machine"]
+    for folder in (run.folder, third.folder):
+        assert {path.name for path in folder.iterdir()} >= {
+            *FILES,
+            *facts["machine"].get("files", []),
+        }
+    third.assert_nothing_left()
+
+
+@pytest.mark.parametrize("lab", ["bridge"], indirect=True)
+def test_a_run_in_which_every_evaluation_failed_did_not_go_well(
+    lab: Lab, start: Callable[..., Run]
+) -> None:
+    lab.start("fault:=unlit")
+    run = start("--evaluations", "3", config=str(lab.config))
+    status, out, err = run.wait()
+    assert status == 1
+    assert "all of its 3 evaluations failed" in err
+    assert "f1 could not be measured" in err
+    assert out.splitlines()[-1] == str(run.folder)
+    assert facts_of(run)["state"] == "failed"
+    assert json.loads((run.folder / "summary.json").read_text())["failed"] == 3
+
+
+@contextmanager
+def node_in(domain_id: int) -> Iterator[tuple[Node, SingleThreadedExecutor]]:
+    context = Context()
+    rclpy.init(context=context, domain_id=domain_id)
+    executor = SingleThreadedExecutor(context=context)
+    node = Node("canceler", context=context)
+    executor.add_node(node)
+    try:
+        yield node, executor
+    finally:
+        executor.shutdown(timeout_sec=1.0)
+        node.destroy_node()
+        context.try_shutdown()
+
+
+@pytest.mark.parametrize("lab", ["simulator"], indirect=True)
+def test_a_run_that_another_client_cancels_is_canceled(lab: Lab, start: Callable[..., Run]) -> None:
+    run = start("--evaluations", "500", config=str(lab.config), run_id="canceled")
+    run.until(lambda: run.evaluations(), "an evaluation")
+    with node_in(facts_of(run)["domain_id"]) as (node, executor):
+        client = node.create_client(CancelGoal, "tune/_action/cancel_goal")
+        assert client.wait_for_service(timeout_sec=TIMEOUT)
+        answer = client.call_async(CancelGoal.Request())  # every goal of every client
+        executor.spin_until_future_complete(answer, timeout_sec=TIMEOUT)
+        assert len(answer.result().goals_canceling) == 1
+    status, _, err = run.wait()
+    assert status == 130
+    assert "canceled" in err
+    assert facts_of(run)["state"] == state_in_list(run) == "canceled"
