@@ -157,7 +157,7 @@ def test_a_run_is_killed_and_resumed_with_the_machine_that_it_had(
     third = start("--evaluations", str(budget), resumed="second", run_id="third")
     status, out, err = third.wait()
     assert (status, err) == (0, "")
-    assert f"evaluation {budget} of {budget}: hypervolume " in out
+    assert f"{budget} of {budget} done: hypervolume " in out
     assert f"run third is finished (budget): {budget} evaluations" in out
     assert out.splitlines()[-1] == str(third.folder)
     assert third.evaluations()[: budget - 2] == second.evaluations()
