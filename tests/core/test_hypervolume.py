@@ -378,7 +378,7 @@ def test_outliers_do_not_spoil_the_hypervolume() -> None:
         ([1.0, np.nan], None, "reference must be finite"),
         ([1.0, 1.0], [[1.0, 2.0, 3.0]], "points must have 2 columns, not 3"),
         ([1.0, 1.0], [0.0, 0.0], "points must have shape"),
-        ([1.0, 1.0], [[0.0, -np.inf]], "must not hold minus infinity"),
+        ([1.0, 1.0], [[0.0, -np.inf]], r"^point must .* minus infinity"),
     ],
 )
 def test_construction_rejects(
@@ -393,9 +393,9 @@ def test_queries_reject() -> None:
     mean = [[0.0, 0.0]]
     with pytest.raises(ValueError, match="candidates must have 2 columns"):
         decomposition.improvement([[0.0]])
-    with pytest.raises(ValueError, match="candidates must not hold NaN"):
+    with pytest.raises(ValueError, match=r"^candidates must .* NaN"):
         decomposition.improvement([[0.0, np.nan]])
-    with pytest.raises(ValueError, match="stddev must not be negative"):
+    with pytest.raises(ValueError, match=r"^stddev must be at least 0"):
         decomposition.expected_improvement(mean, [[1.0, -1.0]])
     with pytest.raises(ValueError, match="stddev must have the shape of mean"):
         decomposition.expected_improvement(mean, [[1.0, 1.0], [1.0, 1.0]])

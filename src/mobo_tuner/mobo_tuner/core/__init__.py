@@ -15,7 +15,7 @@ __all__ = ["Optimizer", "Problem", "ProblemError"]
 
 
 def __getattr__(name: str) -> object:
-    # The optimiser takes a second to import; who only checks a problem need not wait for it.
+    # Importing the optimiser takes a second, which a check of a problem does not need.
     if name == "Optimizer":
         from mobo_tuner.core.optimizer import Optimizer
 

@@ -1,15 +1,15 @@
 """Acquisition functions over normalised inputs, multiplied together as logarithms.
 
-An acquisition function alpha(x) >= 0 says how promising a candidate x in [-1, 1]^d is, in terms of
-the models' predictions. What biases it (constraints, proximal biasing) multiplies it, and any two
-can be multiplied:
+An acquisition function alpha(x) >= 0 is the value of a candidate x in [-1, 1]^d according to the
+models' predictions. Constraints and proximal biasing are factors of it, and any two functions can be
+multiplied:
 
     candidate_value = ExpectedHypervolumeImprovement(models, front) * ProbabilityOfFeasibility(...)
 
-Values are logarithms throughout: a product of many small numbers neither underflows nor loses its
-gradient. Where alpha is exactly zero, its logarithm is minus infinity and the gradient zero.
+All values are logarithms, so that a product of many small numbers neither underflows nor loses its
+gradient. If alpha is exactly zero, its logarithm is minus infinity and the gradient zero.
 
-Every objective is minimised, so that the formulas of the paper for maximisation are turned round.
+Every objective is minimised, so that the signs of the paper's formulas for maximisation change.
 
 .. [Roussel2021] R. Roussel, A. Hanuka, A. Edelen, "Multiobjective Bayesian optimization for online
    accelerator tuning", Phys. Rev. Accel. Beams 24, 062801 (2021).
@@ -40,7 +40,7 @@ _SERIES_BELOW = -100.0
 
 
 class Model(Protocol):
-    """A prediction of one quantity: independent normal distributions at normalised inputs."""
+    """A model that predicts one quantity: a normal distribution at each normalised input."""
 
     def predict(self, X: FloatArray, /) -> tuple[FloatArray, FloatArray]:  # noqa: N803
         """Return mean and standard deviation, `(m, d) -> (m,), (m,)`, in the quantity's units."""
@@ -56,10 +56,13 @@ class Model(Protocol):
 
 
 class Predictions:
-    """The predictions of models at one batch of inputs: each model is asked once.
+    """The predictions of models for one batch of inputs; each model is evaluated once.
+
+    Args:
+        inputs: Normalised inputs `(m, d)`.
 
     Attributes:
-        inputs: `(m, d)`.
+        inputs: Normalised inputs `(m, d)`.
     """
 
     def __init__(self, inputs: ArrayLike) -> None:
@@ -83,14 +86,14 @@ class Predictions:
 
 
 class AcquisitionFunction(ABC):
-    """The logarithm of a function alpha(x) >= 0; two of them multiply to a third with `*`."""
+    """The logarithm of a function alpha(x) >= 0; `*` gives the product of two functions."""
 
     def log_value(self, inputs: ArrayLike) -> FloatArray:
-        """Return log alpha, `(m, d) -> (m,)`; minus infinity where alpha is zero."""
+        """Return log alpha, `(m, d) -> (m,)`; minus infinity if alpha is zero."""
         return self.log_value_from(Predictions(inputs))
 
     def log_value_with_gradient(self, inputs: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return log alpha and its gradient, `(m, d) -> (m,), (m, d)`; zero where alpha is zero."""
+        """Return log alpha and its gradient, `(m, d) -> (m,), (m, d)`; the latter is zero if alpha is."""
         return self.log_value_with_gradient_from(Predictions(inputs))
 
     @abstractmethod
@@ -104,20 +107,20 @@ class AcquisitionFunction(ABC):
         """Return log alpha `(m,)` and its gradient `(m, d)` at the inputs of `predictions`."""
 
     def __mul__(self, other: AcquisitionFunction) -> Product:
-        """Return the product of the two, which shares the models' predictions between them."""
+        """Return the product of the two, which uses the same predictions for both."""
         return Product([self, other])
 
 
 class Product(AcquisitionFunction):
-    """The product of acquisition functions and factors, `[Roussel2021]_` alpha-hat, alpha-tilde."""
+    """The product of acquisition functions and factors, as in `[Roussel2021]_` Eqs. (9) and (10)."""
 
     def __init__(self, factors: Sequence[AcquisitionFunction]) -> None:
         if not factors:
-            raise ValueError("factors must hold at least one acquisition function")
+            raise ValueError("factors must contain at least one acquisition function")
         self._factors = tuple(factors)
 
     def log_value_from(self, predictions: Predictions) -> FloatArray:
-        """Sum the factors' logarithms."""
+        """Return the sum of the factors' logarithms."""
         total = np.zeros(len(predictions.inputs))
         for factor in self._factors:
             total += factor.log_value_from(predictions)
@@ -126,7 +129,7 @@ class Product(AcquisitionFunction):
     def log_value_with_gradient_from(
         self, predictions: Predictions
     ) -> tuple[FloatArray, FloatArray]:
-        """Sum the factors' logarithms and their gradients."""
+        """Return the sums of the factors' logarithms and of their gradients."""
         total = np.zeros(len(predictions.inputs))
         total_gradient = np.zeros_like(predictions.inputs)
         for factor in self._factors:
@@ -139,20 +142,19 @@ class Product(AcquisitionFunction):
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What an acquisition function of the objectives is made from; everything is minimised.
+    """The data from which an acquisition function of the objectives is built; all are minimised.
 
-    For one that takes a single objective, that is the problem's only one or the weighted sum of
-    all, and P is 1.
+    For a function of a single objective, P is 1: the problem's only objective, or the weighted sum
+    of all.
 
     Attributes:
-        models: Models of the objectives, P of them.
+        models: Models of the P objectives.
         values: Objectives of the feasible evaluations `(n, P)`; n may be 0.
         reference: Reference point `(P,)`.
         beta: Weight of the uncertainty, at least 0.
-        front: Returns the boxes below the reference point that the evaluations do not dominate;
-            they are built when it is called.
-        truncation: Truncation box (A, B), `(P,)` each, with B the reference point; None if there
-            is none.
+        front: Callable that builds and returns the boxes below the reference point that the
+            evaluations do not dominate.
+        truncation: Truncation box (A, B), `(P,)` each, with B the reference point; or None.
     """
 
     models: tuple[Model, ...]
@@ -167,8 +169,8 @@ class ObjectiveAcquisition(AcquisitionFunction):
     """An acquisition function of the objectives, which can be chosen by its name.
 
     Attributes:
-        single_objective: Whether it takes a single objective, so that a problem of several needs
-            weights.
+        single_objective: Whether the function takes a single objective, so that a problem with
+            several objectives needs weights.
     """
 
     single_objective: ClassVar[bool] = False
@@ -176,7 +178,7 @@ class ObjectiveAcquisition(AcquisitionFunction):
     @classmethod
     @abstractmethod
     def of(cls, knowledge: Knowledge) -> Self:
-        """Return the acquisition function after what is known so far."""
+        """Return the acquisition function for the given data."""
 
 
 ACQUISITION_FUNCTIONS = Registry[ObjectiveAcquisition](
@@ -186,7 +188,10 @@ ACQUISITION_FUNCTIONS = Registry[ObjectiveAcquisition](
 
 @ACQUISITION_FUNCTIONS.register("ei")
 class ExpectedImprovement(ObjectiveAcquisition):
-    """E[max(best - f, 0)], `[Roussel2021]_` alpha_EI, finite in the logarithm at any distance."""
+    """Expected improvement E[max(best - f, 0)], `[Roussel2021]_` Eq. (1).
+
+    Its logarithm is finite at any distance from the best value.
+    """
 
     single_objective = True
 
@@ -194,15 +199,15 @@ class ExpectedImprovement(ObjectiveAcquisition):
         """Set the value to improve on.
 
         Args:
-            model: of the minimised objective.
-            best: lowest value so far, in the objective's units.
+            model: Model of the minimised objective.
+            best: Lowest value so far, in the objective's units.
         """
         self._model = model
         self._best = _finite(best, "best")
 
     @classmethod
     def of(cls, knowledge: Knowledge) -> Self:
-        """Return the improvement on the best value so far, or on the reference without one."""
+        """Return the improvement on the best value so far, or on the reference if there is none."""
         values = knowledge.values if len(knowledge.values) else knowledge.reference
         return cls(knowledge.models[0], float(values.min()))
 
@@ -244,11 +249,11 @@ class ExpectedImprovement(ObjectiveAcquisition):
 
 @ACQUISITION_FUNCTIONS.register("ucb")
 class UpperConfidenceBound(ObjectiveAcquisition):
-    """max(reference - (mean - sqrt(beta) stddev), 0), `[Roussel2021]_` alpha_UCB for minimisation.
+    """max(reference - (mean - sqrt(beta) stddev), 0), `[Roussel2021]_` Eq. (2) for minimisation.
 
-    The paper's function has no zero, which a product with a probability needs. Here it is measured
-    from a reference, above which a value is worth nothing: the largest value is where it was. It is
-    the UCB-HVI of one objective with an empty front.
+    The paper's function has no zero, which a product with a probability needs. Here it is relative
+    to a reference, above which a value is worth nothing; its maximum is at the same place. It is the
+    UCB-HVI of one objective with an empty front.
     """
 
     single_objective = True
@@ -257,10 +262,10 @@ class UpperConfidenceBound(ObjectiveAcquisition):
         """Set exploration and reference.
 
         Args:
-            model: of the minimised objective.
-            beta: at least zero; more explores more.
-            reference: in the objective's units, above what is hoped for: the best value so far
-                looks only for improvements, the largest so far looks everywhere.
+            model: Model of the minimised objective.
+            beta: Weight of the uncertainty, at least 0; a larger value explores more.
+            reference: Value above which nothing is gained, in the objective's units. With the best
+                value so far only improvements count, with the largest value so far everything.
         """
         self._model = model
         self._width = math.sqrt(_at_least_zero(beta, "beta"))
@@ -268,7 +273,7 @@ class UpperConfidenceBound(ObjectiveAcquisition):
 
     @classmethod
     def of(cls, knowledge: Knowledge) -> Self:
-        """Return the bound measured from the reference point."""
+        """Return the bound relative to the reference point."""
         return cls(knowledge.models[0], knowledge.beta, float(knowledge.reference[0]))
 
     def log_value_from(self, predictions: Predictions) -> FloatArray:
@@ -286,7 +291,7 @@ class UpperConfidenceBound(ObjectiveAcquisition):
 
 
 class _HypervolumeAcquisition(ObjectiveAcquisition):
-    """What the acquisition functions on the hypervolume share: models, front, truncation box."""
+    """Base of the acquisition functions on the hypervolume: models, front, truncation box."""
 
     def __init__(
         self,
@@ -330,7 +335,10 @@ class _HypervolumeAcquisition(ObjectiveAcquisition):
 
 @ACQUISITION_FUNCTIONS.register("ehvi")
 class ExpectedHypervolumeImprovement(_HypervolumeAcquisition):
-    """EHVI, exact for any number of objectives: `[Roussel2021]_` Eq. (eqn:EHVI) and alpha_TEHVI."""
+    """Expected hypervolume improvement, exact for any number of objectives.
+
+    `[Roussel2021]_` Eq. (3) (eqn:EHVI); with a truncation box Eq. (6).
+    """
 
     def __init__(
         self,
@@ -341,13 +349,13 @@ class ExpectedHypervolumeImprovement(_HypervolumeAcquisition):
         """Set models and front.
 
         Args:
-            models: P of them, of the minimised objectives.
-            decomposition: of the front; points added later count.
-            truncation: the box (A, B), `(P,)` each, inside which a prediction is credited. B must
-                be the reference point of `decomposition`, A may hold minus infinity.
+            models: Models of the P minimised objectives.
+            decomposition: Decomposition for the front; points added to it later also count.
+            truncation: Truncation box (A, B), `(P,)` each, inside which a prediction counts. B must
+                be the reference point of `decomposition`; A may contain minus infinity.
 
         Raises:
-            ValueError: if numbers of objectives differ or the box does not fit.
+            ValueError: If the numbers of objectives differ or the box is not allowed.
         """
         super().__init__(models, decomposition, truncation)
 
@@ -376,9 +384,9 @@ class ExpectedHypervolumeImprovement(_HypervolumeAcquisition):
 
 @ACQUISITION_FUNCTIONS.register("ucb_hvi")
 class UpperConfidenceBoundHypervolumeImprovement(_HypervolumeAcquisition):
-    """UCB-HVI: the improvement by mean - sqrt(beta) stddev, `[Roussel2021]_` alpha_UCB-HVI.
+    """UCB-HVI: the improvement by mean - sqrt(beta) stddev, `[Roussel2021]_` Eq. (4).
 
-    With a truncation box it is zero where that optimistic point leaves the box (alpha_TUCB-HVI).
+    With a truncation box, it is zero if that optimistic point is outside the box, Eq. (7).
     """
 
     def __init__(
@@ -391,13 +399,14 @@ class UpperConfidenceBoundHypervolumeImprovement(_HypervolumeAcquisition):
         """Set models, front and exploration.
 
         Args:
-            models: P of them, of the minimised objectives.
-            decomposition: of the front; points added later count.
-            beta: at least zero; more explores more.
-            truncation: as for `ExpectedHypervolumeImprovement`.
+            models: Models of the P minimised objectives.
+            decomposition: Decomposition for the front; points added to it later also count.
+            beta: Weight of the uncertainty, at least 0; a larger value explores more.
+            truncation: Truncation box, as for `ExpectedHypervolumeImprovement`.
 
         Raises:
-            ValueError: if numbers of objectives differ, the box does not fit or beta is negative.
+            ValueError: If the numbers of objectives differ, the box is not allowed or beta is
+                negative.
         """
         super().__init__(models, decomposition, truncation)
         self._width = math.sqrt(_at_least_zero(beta, "beta"))
@@ -425,10 +434,18 @@ class UpperConfidenceBoundHypervolumeImprovement(_HypervolumeAcquisition):
 
 
 def beta_schedule(n_evaluations: int, n_variables: int, delta: float = 0.1) -> float:
-    """Return 2 log(d t^2 pi^2 / (6 delta)), a beta that grows with the evaluations t.
+    """Return 2 log(d t^2 pi^2 / (6 delta)), a beta that grows with the number of evaluations t.
 
-    `[Srinivas2010]_` Theorem 1, with the number of variables d in place of the number of candidates
-    there. Fits UCB; values are far above the 0.01 of `[Roussel2021]_`.
+    `[Srinivas2010]_` Theorem 1, with the number of variables d instead of the number of candidates.
+    It is meant for UCB; its values are far above the 0.01 of `[Roussel2021]_`.
+
+    Args:
+        n_evaluations: Number of evaluations t.
+        n_variables: Number of variables d.
+        delta: Probability that the bound does not hold.
+
+    Raises:
+        ValueError: If an argument is not allowed.
     """
     if n_evaluations < 1 or n_variables < 1 or not 0.0 < delta < 1.0:
         raise ValueError(
@@ -441,7 +458,7 @@ def beta_schedule(n_evaluations: int, n_variables: int, delta: float = 0.1) -> f
 def _log_expected_shortfall(z: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return log h(z) and its derivative Phi/h, h(z) = phi(z) + z Phi(z), for any z `(m,)`.
 
-    In the left tail h/phi = 1 - |z| M with the Mills ratio M = Phi/phi, and far out its series.
+    In the left tail h/phi = 1 - |z| M with the Mills ratio M = Phi/phi; far out, its series is used.
     """
     tail = np.minimum(z, -1.0)
     mills = math.sqrt(0.5 * math.pi) * erfcx(-tail * math.sqrt(0.5))

@@ -1,7 +1,7 @@
-"""Two ways up a function over the box [-1, 1]^d, for many starts at once.
+"""Two local maximisation methods over the box [-1, 1]^d, for many starts at once.
 
-What is climbed is cheap for each of a batch of points but dear for the first of them. Therefore all
-starts step together, one evaluation of the whole batch for each step.
+The function has a high fixed cost per call and a low cost per point. Therefore all starts step
+together, with one evaluation of the whole batch per step.
 
 .. [Bertsekas1982] D. P. Bertsekas, "Projected Newton methods for optimization problems with simple
    constraints", SIAM Journal on Control and Optimization 20, 221-246 (1982).
@@ -19,21 +19,24 @@ import numpy as np
 from mobo_tuner.core.pareto import FloatArray
 
 Function = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-"""From points `(m, d)` to values `(m,)` and gradients `(m, d)`; minus infinity where forbidden."""
+"""Callable from points `(m, d)` to values `(m,)` and gradients `(m, d)`.
+
+The value of a forbidden point is minus infinity.
+"""
 
 _FIRST_STEP = 0.05
-_SUFFICIENT = 1e-4  # share of the rise that the slope promises
+_SUFFICIENT = 1e-4  # fraction of the increase predicted by the slope
 
 
 def climb_by_signs(function: Function, x: FloatArray, steps: int) -> tuple[FloatArray, FloatArray]:
-    """Step along the signs of the gradients, whatever the scale of the function `[Igel2003]_`.
+    """Step along the signs of the gradients, independent of the function's scale `[Igel2003]_`.
 
-    A component's step grows while its sign stays and shrinks when it turns.
+    A component's step grows while its sign stays the same, and shrinks when the sign changes.
 
     Args:
-        function: what is climbed.
-        x: starts `(m, d)`.
-        steps: of each start.
+        function: Function to maximise.
+        x: Starts `(m, d)`.
+        steps: Number of steps of each start.
 
     Returns:
         The best point of each start `(m, d)` and its value `(m,)`.
@@ -60,14 +63,14 @@ def climb_by_curvature(
     """Climb to the maxima by the BFGS method, projected onto the box `[Bertsekas1982]_`.
 
     Every start has its own inverse Hessian `[Nocedal2006]_` Eq. (6.17) and line search; it leaves
-    the batch when its next step promises less than the tolerance. The best points are for
-    `function` to note.
+    the batch when the predicted increase of its next step is below the tolerance. `function` must
+    record the best points itself.
 
     Args:
-        function: what is climbed, finite at the starts.
-        x: starts `(m, d)`.
-        evaluations: most of each start.
-        tolerance: of the function.
+        function: Function to maximise, finite at the starts.
+        x: Starts `(m, d)`.
+        evaluations: Highest number of evaluations of each start.
+        tolerance: Smallest increase of the function that counts.
     """
     value, gradient = function(x)
     d = x.shape[1]
@@ -84,7 +87,7 @@ def climb_by_curvature(
         direction = np.einsum("mij,mj->mi", curvature, free_gradient)
         direction[blocked] = 0.0
         promise = length * np.einsum("mi,mi->m", direction, free_gradient)
-        # Before it knows any curvature a start may promise little and still rise far.
+        # Without curvature information, the predicted increase may be far too small.
         going = promise > np.where(scaled, tolerance, 1e-3 * tolerance)
         if not going.all():
             x, value, gradient, curvature, scaled, length, direction = (
@@ -97,7 +100,7 @@ def climb_by_curvature(
         step = trial - x
         slope = np.einsum("mi,mi->m", gradient, step)
         risen = trial_value >= value + _SUFFICIENT * slope
-        # Where it has not: to the top of the parabola through what is known, within limits.
+        # If it has not increased enough: to the top of the interpolating parabola, within limits.
         with np.errstate(divide="ignore", invalid="ignore"):
             shrink = 0.5 * slope / (slope - (trial_value - value))
         shrink = np.clip(np.where(np.isfinite(shrink), shrink, 0.1), 0.1, 0.5)
@@ -120,7 +123,7 @@ def climb_by_curvature(
 def _updated(
     inverse: FloatArray, step: FloatArray, change: FloatArray, bend: FloatArray
 ) -> FloatArray:
-    """The inverse Hessians `(m, d, d)` after steps and changes of the gradient, `(m, d)` each."""
+    """Return the inverse Hessians `(m, d, d)` after steps and gradient changes, `(m, d)` each."""
     carried = np.einsum("mij,mj->mi", inverse, change)
     outer = step[:, :, None] * carried[:, None, :]
     total = bend + np.einsum("mi,mi->m", change, carried)

@@ -5,12 +5,11 @@ one-dimensional differences,
 
     sum_b prod_j (G_j(u_bj) - G_j(l_bj)),
 
-with functions G_j that rise from zero. They are tabulated once for a candidate, at the levels of
-the tree (see `mobo_tuner.core.box_tree`), and the sum then only looks up. As G_j rises, the product
-of G_j(u_j) at the top of a branch bounds what the branch can add.
+with functions G_j that increase from zero. They are tabulated once per candidate, at the levels of
+the tree (see `mobo_tuner.core.box_tree`), so that the sum only needs look-ups. As G_j increases, the
+product of G_j(u_j) at the top of a branch is an upper bound of the branch's contribution.
 
-No term is negative, so that a sum holds its relative accuracy however small it gets, as long as the
-tabulated values hold theirs.
+No term is negative, so that even a tiny sum has the relative accuracy of the tabulated values.
 """
 
 from __future__ import annotations
@@ -30,25 +29,25 @@ _QUADRATURE_NODES = 0.5 * (_HALF_NODES + 1.0)
 _QUADRATURE_WEIGHTS = 0.5 * _HALF_WEIGHTS
 _DENSITY_AT_ZERO = 1.0 / math.sqrt(2.0 * math.pi)
 _UNDERFLOW_FROM = 39.0
-_CERTAIN_FROM = 9.0  # beyond it the other tail is lost to rounding
-_CELLS = 8  # of the ratios' table, in a unit
+_CERTAIN_FROM = 9.0  # beyond it, the other tail is below the rounding error
+_CELLS = 8  # cells per unit in the table of ratios
 _DEGREE = 7
-_ROOT: Any = np.uint64(0)  # the type of the other nodes, so that `_box` is compiled once
-_SMALLEST_STDDEV = 1e-250  # below it a prediction counts as certain: z would overflow
+_ROOT: Any = np.uint64(0)  # same type as the other nodes, so that `_box` is compiled once
+_SMALLEST_STDDEV = 1e-250  # below it, a prediction counts as certain, because z would overflow
 
 
 # --- one-dimensional integrals --------------------------------------------------------------------
 
 
 def _table_of_ratios() -> FloatArray:
-    """Polynomials of the ratios Q / phi and (phi - x Q) / phi over cells of x from 0 to 39.
+    """Return polynomials of the ratios Q / phi and (phi - x Q) / phi in cells of x from 0 to 39.
 
-    Interpolated at Chebyshev nodes. The second ratio cancels for large x and is there taken from
-    the continued fraction Q / phi = 1 / (x + 1 / (x + 2 / (x + ...))).
+    They interpolate at Chebyshev nodes. The second ratio suffers from cancellation for large x, and
+    is computed there from the continued fraction Q / phi = 1 / (x + 1 / (x + 2 / (x + ...))).
 
     Returns:
-        `(cells, _DEGREE + 1, 2)`, coefficients of the powers of the distance to the cell's middle,
-        highest first.
+        The coefficients of the powers of the distance to the cell's middle, highest power first,
+        `(cells, _DEGREE + 1, 2)`.
     """
     n_cells = int(_UNDERFLOW_FROM) * _CELLS
     nodes = np.polynomial.chebyshev.chebpts1(_DEGREE + 1) * (0.5 / _CELLS)
@@ -142,16 +141,17 @@ def _fill_tables(
 ) -> None:
     """Tabulate G_j(t) = E[max(t - y_j, 0) 1(y_j >= A_j)], y_j ~ N(mean_j, stddev_j^2).
 
-    For a standard deviation of zero, y_j is the mean itself. At a kink the slope is that on the
-    side of no improvement.
+    For a standard deviation of zero, y_j is the mean itself. At a kink, the slope is that on the
+    side without improvement.
 
     Args:
-        levels: `(k, P)`, the thresholds t.
-        mean: `(P,)`.
-        stddev: `(P,)`.
-        floor: `(P,)`, A; minus infinity for no truncation.
-        values: `(k, P)`, G at the levels, written.
-        slopes: `(k, P, 2)`, its derivatives in mean and stddev, written; `(0, P, 2)` if not wanted.
+        levels: Thresholds t `(k, P)`.
+        mean: Predicted means `(P,)`.
+        stddev: Predicted standard deviations `(P,)`.
+        floor: Lower corner A of the truncation box `(P,)`; minus infinity for no truncation.
+        values: G at the levels `(k, P)`; overwritten.
+        slopes: Derivatives of G in mean and stddev `(k, P, 2)`, overwritten; `(0, P, 2)` to skip
+            them.
     """
     n_levels, n_objectives = levels.shape
     with_slopes = len(slopes) > 0
@@ -233,19 +233,19 @@ def _sum_over_boxes(
     bounds: FloatArray,
     gradient: FloatArray,
 ) -> float:
-    """Return sum_b prod_j (G_j(u_bj) - G_j(l_bj)), at most a share `tolerance` too small.
+    """Return sum_b prod_j (G_j(u_bj) - G_j(l_bj)), with a relative error of at most `tolerance`.
 
-    What a branch can add is bounded by prod_j G_j(u_j) at its top. A branch is passed over when all
-    that was passed over so far stays below the tolerated share of the sum.
+    The contribution of a branch is at most prod_j G_j(u_j) at its top. A branch is skipped if the
+    sum of all skipped bounds stays below the tolerated fraction of the sum.
 
     Args:
-        tree: the boxes.
-        values: `(k, P)`, G at the levels.
-        slopes: `(k, P, 2)`, its derivatives in mean and stddev, or `(0, P, 2)`.
-        tolerance: relative.
-        stack: work space for `k P` nodes.
-        bounds: as long as `stack`.
-        gradient: `(P, 2)`, the derivatives of the sum, written unless `slopes` is empty.
+        tree: Tree of the boxes.
+        values: G at the levels `(k, P)`.
+        slopes: Derivatives of G in mean and stddev `(k, P, 2)`, or `(0, P, 2)`.
+        tolerance: Relative tolerance.
+        stack: Work space for `k P` nodes.
+        bounds: Work space of the same length.
+        gradient: Derivatives of the sum `(P, 2)`; overwritten unless `slopes` is empty.
     """
     n_objectives = values.shape[1]
     before = np.empty(n_objectives)
@@ -292,16 +292,16 @@ def expected_improvements(
     """Evaluate the expected hypervolume improvement of m candidates.
 
     Args:
-        tree: the boxes.
-        levels: `(k, P)`.
-        mean: `(m, P)`.
-        stddev: `(m, P)`.
-        floor: `(P,)`, see `_fill_tables`.
-        tolerance: relative.
-        with_gradient: whether the second result is wanted.
+        tree: Tree of the boxes.
+        levels: Levels of the tree `(k, P)`.
+        mean: Predicted means `(m, P)`.
+        stddev: Predicted standard deviations `(m, P)`.
+        floor: Lower corner of the truncation box `(P,)`, see `_fill_tables`.
+        tolerance: Relative tolerance.
+        with_gradient: Whether to compute the derivatives.
 
     Returns:
-        The improvements `(m,)`, and `(m, P, 2)` their derivatives in mean and stddev, or zero.
+        The improvements `(m,)`, and their derivatives in mean and stddev `(m, P, 2)`, or zeros.
     """
     n_levels, n_objectives = levels.shape
     values = np.empty((n_levels, n_objectives))

@@ -4,11 +4,11 @@ The region below the reference point that no point of the front dominates is the
 {z < u} over the local upper bounds u, and it splits into disjoint boxes [l, u), one for each u
 `[Lacour2017]_`. Adding a point y replaces every u with y < u by up to P children, each equal to its
 parent in all but one objective, where it takes the component of y. The history of these splits is
-kept as a tree: the cone of a child lies inside that of its parent, so that whole branches are
-passed over exactly, both when a point is added and when the boxes are summed. Most nodes of the
-history serve nothing; `pack` leaves them out, which makes sums several times faster.
+stored as a tree: the cone of a child lies inside that of its parent, so that whole branches can be
+skipped exactly, both when a point is added and when the boxes are summed. Most nodes of the history
+are not needed; `pack` removes them, which makes sums several times faster.
 
-Nothing but indices is stored. Row i of `levels` `(k, P)` is a point: rows 0 .. P-1 bound the
+Only indices are stored. Row i of `levels` `(k, P)` is a point: rows 0 .. P-1 bound the
 objectives at the reference point, row P is minus infinity, the points of the front follow. Box b
 then has the upper corner `levels[upper[b, j], j]` and the lower corner `levels[lower[b, j], j]`.
 
@@ -31,14 +31,14 @@ Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 IndexArray = NDArray[Any]  # uint16, or uint32 for more than 65 000 points; unsigned is faster
 
-LEAF = 0  # the root is nobody's child
+LEAF = 0  # the root is not a child of any node
 
 
 def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
     """Compile to machine code that runs without the interpreter lock and is cached on disk.
 
-    The cache notices a change in the function's own file only: a compiled function must not call
-    one in another module. Where no directory for the cache can be written, there is none.
+    The cache only notices changes in the function's own file: a compiled function must not call
+    one in another module. Without a writable directory, there is no cache.
     """
     jitted: Callable[Parameters, Result]
     try:
@@ -49,16 +49,15 @@ def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Res
 
 
 class BoxTree(NamedTuple):
-    """The tree's arrays, with room for more nodes than are in use; node 0 is the root.
+    """The tree's arrays, with capacity for more nodes than are in use; node 0 is the root.
 
     Attributes:
-        upper: `(nodes, P)`, rows of `levels` that give the upper corners.
-        lower: `(nodes, P)`, rows of `levels` that give the lower corners; used in leaves.
-        axis: `(nodes,)`, an objective in which a node differs from its parent, the one to look at
-            first.
-        first_child: `(nodes,)`, the children are contiguous and come after their parent; `LEAF`
-            marks a box.
-        n_children: `(nodes,)`, 0 to P for an inner node; with 0 it is a dead end.
+        upper: Rows of `levels` with the upper corners `(nodes, P)`.
+        lower: Rows of `levels` with the lower corners `(nodes, P)`; used in leaves.
+        axis: Objective in which a node differs from its parent, tested first `(nodes,)`.
+        first_child: First child of each node `(nodes,)`; children are contiguous and come after
+            their parent; `LEAF` marks a box.
+        n_children: Number of children `(nodes,)`, 0 to P for an inner node; with 0 it is a dead end.
     """
 
     upper: IndexArray
@@ -81,7 +80,7 @@ def find_leaves(tree: BoxTree, levels: FloatArray, point: FloatArray) -> NDArray
     """Find the boxes whose upper corner is strictly above `point` `(P,)`, which is below the root.
 
     Returns:
-        `(h,)`, their nodes.
+        The nodes of the boxes `(h,)`.
     """
     n_objectives = levels.shape[1]
     stack = np.empty(1024, np.int32)
@@ -121,17 +120,17 @@ def split_leaves(
     """Split the boxes found for the point in `levels[row]`.
 
     Ties are broken as if the newest point were larger (`>=` below): with a strict comparison, boxes
-    would be lost where points share a component.
+    would be lost if points share a component.
 
     Args:
-        tree: changed in place; needs room for P children of every leaf.
-        levels: `(k, P)`.
-        leaves: `(h,)`, from `find_leaves`.
-        row: the row of the new point.
-        n_nodes: nodes in use.
+        tree: Tree, modified in place; needs capacity for P children of every leaf.
+        levels: Levels of the tree `(k, P)`.
+        leaves: Nodes from `find_leaves` `(h,)`.
+        row: Row of the new point in `levels`.
+        n_nodes: Number of nodes in use.
 
     Returns:
-        Nodes in use now, and the hypervolume gained.
+        The new number of nodes in use, and the hypervolume gained.
     """
     n_objectives = levels.shape[1]
     point = levels[row]
@@ -175,7 +174,7 @@ def _set_lower_corner(tree: BoxTree, levels: FloatArray, node: int) -> None:
 
 @compiled
 def count_boxes(tree: BoxTree, n_nodes: int) -> NDArray[np.int32]:
-    """Return how many boxes there are below each node `(n_nodes,)`, itself included."""
+    """Return the number of boxes below each node, itself included `(n_nodes,)`."""
     n_boxes = np.zeros(n_nodes, np.int32)
     for node in range(n_nodes - 1, -1, -1):
         first = tree.first_child[node]
@@ -189,7 +188,7 @@ def count_boxes(tree: BoxTree, n_nodes: int) -> NDArray[np.int32]:
 
 @compiled
 def _skip_single_ways(tree: BoxTree, n_boxes: NDArray[np.int32], node: np.int64) -> np.int64:
-    """Descend from a node with boxes below it to where the ways to them part, or to the only box."""
+    """Descend from a node to the first one whose boxes are in several branches, or to its only box."""
     while tree.first_child[node] != LEAF:
         child = np.int64(tree.first_child[node])
         while n_boxes[child] == 0:
@@ -202,18 +201,18 @@ def _skip_single_ways(tree: BoxTree, n_boxes: NDArray[np.int32], node: np.int64)
 
 @compiled
 def pack(tree: BoxTree, n_boxes: NDArray[np.int32], packed: BoxTree, n_levels: int) -> int:
-    """Copy the tree into `packed`, without dead ends and without nodes with a single way on.
+    """Copy the tree into `packed`, without dead ends and without nodes that have a single branch.
 
-    The order is that of a sum's visits, which is kind to caches.
+    The nodes are in the order in which a sum visits them, for a good use of caches.
 
     Args:
-        tree: with a root that is no box itself.
-        n_boxes: from `count_boxes`.
-        packed: as the tree when it is empty, with room for as many nodes.
-        n_levels: rows of the levels in use.
+        tree: Tree whose root is not a box itself.
+        n_boxes: Numbers from `count_boxes`.
+        packed: Empty tree with capacity for as many nodes; overwritten.
+        n_levels: Number of levels in use.
 
     Returns:
-        Nodes of `packed` in use.
+        The number of nodes in use in `packed`.
     """
     n_objectives = tree.upper.shape[1]
     stack = np.zeros((n_levels * n_objectives, 2), np.int32)

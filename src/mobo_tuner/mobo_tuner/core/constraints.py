@@ -17,22 +17,22 @@ _CERTAIN_FROM = 1e100
 
 
 class ProbabilityOfFeasibility(AcquisitionFunction):
-    """Pr[lower <= g(x) <= upper] for a modelled quantity g, `[Roussel2021]_` P_g.
+    """Pr[lower <= g(x) <= upper] for a modelled quantity g, `[Roussel2021]_` Eq. (8).
 
-    Its logarithm has a finite value and a slope towards feasibility however far that is, so that a
-    product of these alone also leads to a first feasible point.
+    Its logarithm is finite and has a slope towards feasibility at any distance, so that a product of
+    these factors alone also leads to a first feasible point.
     """
 
     def __init__(self, model: Model, lower: float = -math.inf, upper: float = math.inf) -> None:
         """Set the limits.
 
         Args:
-            model: of the constrained quantity; may be that of an objective.
-            lower: in the quantity's units; minus infinity for none.
-            upper: in the quantity's units; infinity for none.
+            model: Model of the constrained quantity; may be that of an objective.
+            lower: Lower limit in the quantity's units; minus infinity for none.
+            upper: Upper limit in the quantity's units; infinity for none.
 
         Raises:
-            ValueError: if `lower` is not below `upper` or there is no limit at all.
+            ValueError: If `lower` is not below `upper`, or neither is finite.
         """
         if not lower < upper:
             raise ValueError(f"lower must be below upper, not {lower} and {upper}")
@@ -59,14 +59,19 @@ class ProbabilityOfFeasibility(AcquisitionFunction):
 
 
 class ValidityWeight(AcquisitionFunction):
-    """A weight that keeps the search where evaluations are likely to be valid; the paper has none.
+    """A weight that keeps the search in the region of valid evaluations. It is not in the paper.
 
-    A plain probability, as for a constraint, is not enough: a failed evaluation teaches nothing
-    about the objectives, so the untouched improvement just beyond a boundary would tempt for ever.
+    A plain probability, as for a constraint, is not enough: a failed evaluation contains no
+    information on the objectives, so that the predicted improvement just beyond a boundary would
+    never decrease.
     """
 
     def __init__(self, model: ValidityModel) -> None:
-        """Take a model that was fitted to all evaluations, valid or not."""
+        """Set the model.
+
+        Args:
+            model: Model fitted to all evaluations, valid or not.
+        """
         self._model = model
 
     def log_value_from(self, predictions: Predictions) -> FloatArray:
@@ -86,10 +91,11 @@ def log_probability_between(
     """Return log Pr[lower <= g <= upper] for normal g, and its derivatives.
 
     Args:
-        mean: `(m,)`.
-        stddev: `(m,)`; where it is zero, the probability is 0 or 1 and the derivatives are zero.
-        lower: below `upper`; minus infinity for none.
-        upper: infinity for none.
+        mean: Means `(m,)`.
+        stddev: Standard deviations `(m,)`; for zero, the probability is 0 or 1 and the derivatives
+            are zero.
+        lower: Lower limit, below `upper`; minus infinity for none.
+        upper: Upper limit; infinity for none.
 
     Returns:
         The logarithm and its derivatives in mean and stddev, `(m,)` each.
@@ -131,7 +137,7 @@ def _log_mass(
         shrink = np.exp(0.5 * width * (b_tail + a))
         in_units_of_density = _mills(-b_tail) - np.where(shrink > 0.0, shrink * _mills(-a), 0.0)
         log_tail = _LOG_DENSITY_AT_ZERO - 0.5 * b_tail * b_tail + np.log(in_units_of_density)
-        # On both sides of zero: what the two tails leave.
+        # On both sides of zero: one minus the two tails.
         missing = ndtr(-np.maximum(b, 0.0)) + ndtr(a)
         log_body = np.log1p(-missing)
 

@@ -1,4 +1,4 @@
-"""From a front to one working point: which point, which weights, and the bounds around it."""
+"""Choice of a working point on a front: the point, the weights, and the bounds around it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ import numpy as np
 from mobo_tuner.core.problem import FARTHEST, LARGEST, Problem, ProblemError, as_float
 
 LEAST_RADIUS = 10.0 / FARTHEST
-"""Least share of a variable's range to focus on: what was measured all over the range stays near."""
+"""Smallest radius of a focus, as a fraction of a variable's range.
+
+With it, evaluations anywhere in the range are still near enough for the models.
+"""
 
 
 def choose_on_front(
@@ -20,12 +23,12 @@ def choose_on_front(
     index: int | None,
     weights: Mapping[str, float] | None,
 ) -> tuple[dict[str, float], tuple[float, ...]]:
-    """The set-point of the chosen point, and the weights of the minimised objectives.
+    """Return the set-point of the chosen point, and the weights of the minimised objectives.
 
     Arguments and errors are those of `Optimizer.focus`.
     """
     if not front:
-        raise ProblemError("the front is empty: there is no point to go on from")
+        raise ProblemError("the front is empty; there is no point to focus on")
     if index is None and weights is None:
         raise ProblemError("index or weights must be given")
     values = np.array(
@@ -48,10 +51,10 @@ def choose_on_front(
 
 
 def largest_box(problem: Problem, front: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
-    """The point of the front that dominates the largest volume by itself; None of an empty front.
+    """Return the point of the front that dominates the largest volume; None if the front is empty.
 
-    That is the product of its distances to the reference point, which favours a point that is good
-    in every objective over one that is best in some.
+    The volume is the product of its distances to the reference point, which prefers a point that is
+    good in every objective to one that is best in some.
     """
     if not front:
         return None
@@ -62,11 +65,16 @@ def largest_box(problem: Problem, front: Sequence[Mapping[str, Any]]) -> Mapping
 
 
 def around(problem: Problem, setpoint: Mapping[str, float], radius: float) -> Problem:
-    """The problem with its bounds drawn in to `radius` of each range around a set-point.
+    """Return the problem with bounds reduced to a neighbourhood of a set-point.
+
+    Args:
+        problem: Problem to reduce.
+        setpoint: Centre of the neighbourhood.
+        radius: Half-width of the new bounds, as a fraction of each range.
 
     Raises:
-        ProblemError: the radius is not between `LEAST_RADIUS` and 1, or the new bounds are too near
-            to each other.
+        ProblemError: If the radius is not between `LEAST_RADIUS` and 1, or the new bounds are too
+            close to each other.
     """
     if not LEAST_RADIUS <= as_float("radius", radius) <= 1.0:
         raise ProblemError(f"radius is {radius!r}; a number from {LEAST_RADIUS:g} to 1 is allowed")

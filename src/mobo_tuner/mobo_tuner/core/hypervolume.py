@@ -8,10 +8,10 @@ acquisition function of `[Roussel2021]_` as a sum over boxes of a product over o
 
 with G_j(t) = max(t - y_j, 0) for the improvement of a point y and its expectation for a predicted
 normal distribution of y. A truncation box [A, B] limits the expectation to y in [A, B]: B is the
-reference point of the decomposition, and G_j counts only y_j >= A_j. Nothing below A is credited,
-as the paper defines it; moving such predictions up to A instead would credit them in full.
-Moving the *front* up to A (the paper's projection) changes nothing for y in [A, B], and is a matter
-of the front's own hypervolume: `mobo_tuner.core.pareto.project_onto_box`.
+reference point of the decomposition, and G_j counts only y_j >= A_j. As in the paper, predictions
+below A do not count; moving them up to A instead would count them in full. Moving the *front* up to
+A (the paper's projection) has no effect for y in [A, B], and only changes the hypervolume of the
+front: `mobo_tuner.core.pareto.project_onto_box`.
 
 .. [Lacour2017] R. Lacour, K. Klamroth, C. M. Fonseca, "A box decomposition algorithm to compute
    the hypervolume indicator", Computers & Operations Research 79, 347-360 (2017).
@@ -39,11 +39,11 @@ def hypervolume(points: ArrayLike, reference: ArrayLike) -> float:
     """Return the volume dominated by `points` below `reference`.
 
     Args:
-        points: `(n, P)`; rows with NaN or not strictly below the reference add nothing.
-        reference: `(P,)`.
+        points: Points `(n, P)`; rows with NaN or not strictly below the reference add nothing.
+        reference: Reference point `(P,)`.
 
     Raises:
-        ValueError: as `BoxDecomposition`.
+        ValueError: In the same cases as for `BoxDecomposition`.
 
     Example:
         >>> hypervolume([[1.0, 3.0], [2.0, 2.0], [3.0, 1.0]], [4.0, 4.0])
@@ -53,32 +53,32 @@ def hypervolume(points: ArrayLike, reference: ArrayLike) -> float:
 
 
 class BoxDecomposition:
-    """The region that a Pareto front leaves free below the reference point, cut into boxes.
+    """The region below the reference point that a Pareto front does not dominate, as boxes.
 
-    Points are added one at a time or, at construction, largest volume first. The order never
-    changes a result but a bad one makes the tree some twenty times larger: build it anew from all
-    points when a model is trained, add single points in between.
+    Points are added one at a time; at construction, those with the largest volume come first. The
+    order does not change the results, but a bad order makes the tree about twenty times larger:
+    build it again from all points when a model is trained, and add single points in between.
 
     The number of boxes grows as n^floor(P/2) at worst. With P = 7 and n = 500 there are 3e4 to 8e5
-    of them and 4 to 90 MB; adding a point takes about a millisecond, 4 at the worst.
+    of them and 4 to 90 MB; adding a point takes about a millisecond, 4 at worst.
 
     Any number of threads may evaluate at once, but not while one of them adds a point.
 
     Attributes:
-        reference: `(P,)`, the reference point, or B of a truncation box.
+        reference: Reference point, or B of a truncation box `(P,)`.
     """
 
     def __init__(self, reference: ArrayLike, points: ArrayLike | None = None) -> None:
         """Start with no points, or with the front of `points`.
 
         Args:
-            reference: `(P,)`, finite.
-            points: `(n, P)`, or None. NaN rows, dominated rows and rows not strictly below the
-                reference are left out.
+            reference: Reference point `(P,)`, finite.
+            points: Points `(n, P)`, or None. Rows with NaN, dominated rows and rows that are not
+                strictly below the reference are ignored.
 
         Raises:
-            ValueError: if a shape does not fit, the reference is not finite or a point holds
-                minus infinity.
+            ValueError: If a shape is wrong, the reference is not finite or a point contains minus
+                infinity.
         """
         self.reference: FloatArray = np.array(reference, dtype=np.float64)
         if self.reference.ndim != 1 or len(self.reference) == 0:
@@ -107,37 +107,37 @@ class BoxDecomposition:
 
     @property
     def hypervolume(self) -> float:
-        """The volume dominated by the points so far, in the product of the objectives' units."""
+        """Volume dominated by the points so far, in the product of the objectives' units."""
         return self._hypervolume
 
     @property
     def n_boxes(self) -> int:
-        """The number of boxes."""
+        """Number of boxes."""
         return self._n_boxes
 
     @property
     def nbytes(self) -> int:
-        """The memory held, in bytes."""
+        """Memory of the arrays [bytes]."""
         return self._levels.nbytes + sum(array.nbytes for array in self._tree)
 
     def add(self, point: ArrayLike) -> float:
         """Add a point to the front.
 
         Args:
-            point: `(P,)`. One with a NaN, one not strictly below the reference and one dominated by
-                or equal to an earlier point change nothing.
+            point: Point `(P,)`. It has no effect if it contains NaN, is not strictly below the
+                reference, or is equal to or dominated by an earlier point.
 
         Returns:
             The hypervolume gained.
 
         Raises:
-            ValueError: if the shape does not fit or a component is minus infinity.
+            ValueError: If the shape is wrong or a component is minus infinity.
         """
         point = np.require(point, np.float64, ["C", "A", "W"])
         if point.shape != self.reference.shape:
             raise ValueError(f"point must have shape {self.reference.shape}, not {point.shape}")
         if np.isneginf(point).any():
-            raise ValueError(f"point must not hold minus infinity: {point}")
+            raise ValueError(f"point must not contain minus infinity, but is {point}")
         if not (point < self.reference).all():
             return 0.0
         leaves = box_tree.find_leaves(self._tree, self._levels, point)
@@ -160,11 +160,12 @@ class BoxDecomposition:
         """Return the hypervolume that each candidate would add, `(m, P) -> (m,)`.
 
         Args:
-            candidates: `(m, P)`, without NaN.
-            lower: `(P,)`, A of a truncation box: candidates with a component below it add nothing.
+            candidates: Candidates `(m, P)`, without NaN.
+            lower: Lower corner A of a truncation box `(P,)`; candidates with a component below it
+                add nothing.
 
         Raises:
-            ValueError: if a shape does not fit or a value is NaN.
+            ValueError: If a shape is wrong or a value is NaN.
         """
         candidates = self._predictions(candidates, "candidates")
         return self._expected(candidates, np.zeros_like(candidates), lower)[0]
@@ -174,8 +175,8 @@ class BoxDecomposition:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the improvements and their gradients, `(m, P) -> (m,), (m, P)`.
 
-        At a kink, where a candidate shares a component with a point of the front, the gradient is
-        one of the two one-sided ones.
+        At a kink (a candidate shares a component with a point of the front), the gradient is one of
+        the two one-sided gradients.
         """
         candidates = self._predictions(candidates, "candidates")
         improvements, gradients = self._expected(
@@ -186,21 +187,21 @@ class BoxDecomposition:
     def expected_improvement(
         self, mean: ArrayLike, stddev: ArrayLike, lower: ArrayLike | None = None
     ) -> FloatArray:
-        """Return the expected hypervolume improvement, `[Roussel2021]_` Eq. (eqn:EHVI).
+        """Return the expected hypervolume improvement, `[Roussel2021]_` Eq. (3) (eqn:EHVI).
 
-        Relative errors are below 1e-11, far out in the tails too.
+        Relative errors are below 1e-11, also far out in the tails.
 
         Args:
-            mean: `(m, P)`, predicted means of independent normal distributions.
-            stddev: `(m, P)`, their standard deviations; zero makes a component certain.
-            lower: `(P,)`, A of a truncation box [A, reference]: the expectation is then taken over
-                that box only (alpha_TEHVI). Minus infinity leaves an objective free.
+            mean: Predicted means of independent normal distributions `(m, P)`.
+            stddev: Standard deviations `(m, P)`; with zero, a component is certain.
+            lower: Lower corner A of a truncation box [A, reference] `(P,)`: the expectation is then
+                taken over that box only, Eq. (6). Minus infinity does not limit an objective.
 
         Returns:
-            `(m,)`, in the product of the objectives' units.
+            The expected improvements in the product of the objectives' units `(m,)`.
 
         Raises:
-            ValueError: if a shape does not fit, a value is NaN or a standard deviation negative.
+            ValueError: If a shape is wrong, a value is NaN or a standard deviation is negative.
         """
         return self._expected(*self._moments(mean, stddev), lower)[0]
 
@@ -210,7 +211,7 @@ class BoxDecomposition:
         """Return `expected_improvement` and its gradients in mean and standard deviation.
 
         Returns:
-            `(m,)`, `(m, P)` and `(m, P)`.
+            The expected improvements `(m,)`, and their gradients in mean and stddev `(m, P)` each.
         """
         improvements, gradients = self._expected(
             *self._moments(mean, stddev), lower, with_gradient=True
@@ -237,7 +238,7 @@ class BoxDecomposition:
     def _predictions(self, values: ArrayLike, name: str) -> FloatArray:
         predictions = as_points(values, name, len(self.reference))
         if np.isnan(predictions).any():
-            raise ValueError(f"{name} must not hold NaN")
+            raise ValueError(f"{name} must not contain NaN")
         return predictions
 
     def _moments(self, mean: ArrayLike, stddev: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -246,7 +247,7 @@ class BoxDecomposition:
         if mean.shape != stddev.shape:
             raise ValueError(f"stddev must have the shape of mean {mean.shape}, not {stddev.shape}")
         if (stddev < 0.0).any():
-            raise ValueError(f"stddev must not be negative: {stddev.min()}")
+            raise ValueError(f"stddev must be at least 0, not {stddev.min()}")
         return mean, stddev
 
     def _floor(self, lower: ArrayLike | None) -> FloatArray:
@@ -263,7 +264,7 @@ class BoxDecomposition:
         return np.uint16 if len(self._levels) <= _MOST_NARROW_LEVELS else np.uint32
 
     def _pack(self) -> None:
-        """Leave out nodes that do not help: far more than half of them in a tree of many points."""
+        """Remove unneeded nodes, which are far more than half of them in a tree of many points."""
         if self._n_nodes > 1:
             packed = _empty_tree(len(self.reference), self._index_type(), self._n_nodes)
             n_boxes = box_tree.count_boxes(self._tree, self._n_nodes)
@@ -272,7 +273,7 @@ class BoxDecomposition:
         self._n_packed = self._n_nodes
 
     def _reserve(self, n_new_nodes: int) -> None:
-        """Make room for one more point and so many nodes, at least doubling what is enlarged."""
+        """Reserve capacity for one more point and some nodes; arrays at least double if enlarged."""
         if self._n_levels == len(self._levels):
             self._levels = _enlarged(self._levels, 2 * self._n_levels, -np.inf)
         needed = self._n_nodes + n_new_nodes

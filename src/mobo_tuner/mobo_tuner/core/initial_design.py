@@ -1,4 +1,4 @@
-"""Where a run begins: set-points chosen before any model is trusted."""
+"""The initial design: set-points chosen before there is a model."""
 
 from __future__ import annotations
 
@@ -12,11 +12,16 @@ DESIGNS = ("latin_hypercube", "random")
 def initial_design(kind: str, n: int, d: int, seed: int) -> Array:
     """Draw `n` points of ``[-1, 1]^d``, shape ``(n, d)``.
 
-    `latin_hypercube` spreads the points along each axis ([Roussel2021]_, section
-    subsec:convergence); `random` draws them uniformly (its toy problem). The points depend on the
-    arguments alone.
+    They depend on the arguments alone.
+
+    Args:
+        kind: "latin_hypercube" to distribute the points along each axis ([Roussel2021]_, section
+            subsec:convergence), or "random" to draw them uniformly (its toy problem).
+        n: Number of points.
+        d: Number of variables.
+        seed: Seed of the random number generator.
     """
-    from scipy.stats import qmc  # takes half a second, which a check of settings can spare
+    from scipy.stats import qmc  # takes half a second, which a check of settings does not need
 
     rng = np.random.default_rng([seed, 0])
     spread = kind == "latin_hypercube"

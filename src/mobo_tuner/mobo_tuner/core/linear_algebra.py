@@ -1,7 +1,7 @@
 """Linear algebra of the models: one BLAS thread, a Cholesky factor that does not fail.
 
-Small matrices (n of a few hundred) are slower on several BLAS threads than on one, and far slower
-when the cores are busy; therefore every model runs its linear algebra inside `single_blas_thread`.
+Small matrices (n of a few hundred) are slower with several BLAS threads than with one, and far
+slower if the cores are busy. Therefore every model runs its linear algebra in `single_blas_thread`.
 """
 
 from __future__ import annotations
@@ -27,18 +27,17 @@ _entered = threading.local()
 
 @cache
 def _controller() -> ThreadpoolController:
-    # Looks for the libraries once, which takes longer than what it is used around.
+    # Finds the libraries once; finding them takes longer than a typical block.
     return ThreadpoolController()
 
 
 @contextmanager
 def single_blas_thread() -> Iterator[None]:
-    """Run the block with one BLAS thread; may be nested.
+    """Run the block with one BLAS thread; blocks may be nested.
 
-    The outermost entry costs about 20 microseconds, an inner one less than 1: a caller of many
-    small predictions holds it around all of them. The limit is the whole process', and the thread
-    that entered first lifts it: who hands work to other threads enters before they do and leaves
-    after them.
+    The outermost entry takes about 20 microseconds, an inner one less than 1: enter it once around
+    many small predictions. The limit applies to the whole process, and the thread that entered
+    first removes it: a caller that uses other threads must enter before them and leave after them.
     """
     if getattr(_entered, "inside", False):
         yield
@@ -52,18 +51,20 @@ def single_blas_thread() -> Iterator[None]:
 
 
 def cholesky(matrix: FloatArray) -> tuple[FloatArray, float]:
-    """Lower Cholesky factor of a symmetric positive semi-definite matrix, with jitter as needed.
+    """Return the lower Cholesky factor of a symmetric positive semi-definite matrix.
+
+    Jitter is added to the diagonal if needed. O(n^3 / 3).
 
     Args:
-        matrix: `(n, n)` symmetric and finite; only its upper triangle is read; not modified.
+        matrix: Symmetric finite matrix `(n, n)`; only its upper triangle is read; not modified.
 
     Returns:
         The factor `(n, n)` of `matrix + jitter I` in Fortran order with zeros above the diagonal,
-        and the jitter: 0 where the matrix is positive definite in floating point, else 1e-10 of the
-        mean diagonal, times ten until the factorisation succeeds. O(n^3 / 3).
+        and the jitter: 0 if the matrix is positive definite in floating point, else 1e-10 of the
+        mean diagonal, multiplied by ten until the factorisation succeeds.
 
     Raises:
-        ValueError: the matrix has a value that is not finite, or is far from positive
+        ValueError: If a value of the matrix is not finite, or the matrix is far from positive
             semi-definite.
     """
     factor, info = lapack.dpotrf(matrix.T, lower=1, clean=1)
@@ -84,7 +85,7 @@ def cholesky(matrix: FloatArray) -> tuple[FloatArray, float]:
 
 
 def inverse_triangle(factor: FloatArray) -> FloatArray:
-    """Inverse of a lower triangular matrix `(n, n)`, zeros above, Fortran order; O(n^3 / 3)."""
+    """Return the inverse of a lower triangular matrix `(n, n)`, in Fortran order; O(n^3 / 3)."""
     inverse, info = lapack.dtrtri(factor, lower=1)
     if info != 0:
         raise ValueError(f"the triangular factor is singular at row {info}")
@@ -92,7 +93,7 @@ def inverse_triangle(factor: FloatArray) -> FloatArray:
 
 
 def inverse_lower(factor: FloatArray) -> FloatArray:
-    """Lower triangle of `(L L^T)^-1`, zeros above, for a Cholesky factor L; O(2 n^3 / 3)."""
+    """Return the lower triangle of `(L L^T)^-1` for a Cholesky factor L; O(2 n^3 / 3)."""
     inverse, info = lapack.dpotri(factor, lower=1)
     if info != 0:
         raise ValueError(f"the triangular factor is singular at row {info}")

@@ -16,13 +16,17 @@ BoolArray = NDArray[np.bool_]
 
 
 def as_points(values: ArrayLike, name: str, n_objectives: int | None = None) -> FloatArray:
-    """Return `values` as a contiguous, writable float64 array `(n, P)`, copied only if need be.
+    """Return `values` as a contiguous, writable float64 array `(n, P)`, copied only if necessary.
 
-    So the kernels see one kind of array and are compiled once. An empty sequence becomes `(0, P)`
-    when `n_objectives` is given.
+    So the compiled kernels get one kind of array and are compiled once.
+
+    Args:
+        values: Points; an empty sequence becomes `(0, P)` if `n_objectives` is given.
+        name: Name of the argument, for errors.
+        n_objectives: Number of objectives P, or None for any.
 
     Raises:
-        ValueError: if `values` is not two-dimensional or has not `n_objectives` columns.
+        ValueError: If `values` is not two-dimensional or does not have `n_objectives` columns.
     """
     points = np.require(values, np.float64, ["C", "A", "W"])
     if points.size == 0 and n_objectives is not None:
@@ -38,13 +42,13 @@ def is_nondominated(points: ArrayLike) -> BoolArray:
     """Mark the Pareto front of a set of points.
 
     Args:
-        points: `(n, P)`, minimised; see the module's docstring for NaN and duplicates.
+        points: Points `(n, P)`, minimised; see the module's docstring for NaN and duplicates.
 
     Returns:
-        `(n,)`, true for the points of the front.
+        Whether each point is on the front `(n,)`.
 
     Raises:
-        ValueError: if `points` is not two-dimensional.
+        ValueError: If `points` is not two-dimensional.
 
     Complexity: O(k n P) time for k points on the front, O(n P) memory.
 
@@ -56,7 +60,7 @@ def is_nondominated(points: ArrayLike) -> BoolArray:
     mask = np.zeros(len(points), dtype=np.bool_)
     valid = np.flatnonzero(~np.isnan(points).any(axis=1))
     # In lexicographic order a point is only ever dominated by an earlier one, and the sort is
-    # stable, so what weakly dominates a later point removes it, duplicates included.
+    # stable, so a point that weakly dominates a later one removes it, including duplicates.
     remaining = valid[np.lexsort(points[valid].T[::-1])]
     while len(remaining):
         first = remaining[0]
@@ -69,7 +73,7 @@ def is_nondominated(points: ArrayLike) -> BoolArray:
 def is_below(points: ArrayLike, reference: ArrayLike) -> BoolArray:
     """Mark the points strictly below the reference point in every objective, `(n, P) -> (n,)`.
 
-    Only these can have a hypervolume. A row with NaN is not below anything.
+    Only these contribute to a hypervolume. A row with NaN is never below.
     """
     reference = np.asarray(reference, dtype=np.float64)
     mask: BoolArray = np.all(as_points(points, "points", len(reference)) < reference, axis=1)
@@ -92,9 +96,9 @@ def pareto_front(points: ArrayLike, reference: ArrayLike) -> FloatArray:
 def project_onto_box(points: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> FloatArray:
     """Project points onto the truncation box [A, B], as for the truncated hypervolume.
 
-    A point that is not strictly below B dominates nothing inside the box and is dropped, the others
-    are moved up to A where they are below it: `(n, P) -> (k, P)` with k <= n.
-    `[Roussel2021]_`, after the equation of alpha_TEHVI.
+    A point that is not strictly below B dominates nothing inside the box and is dropped; components
+    of the others that are below A are moved up to A: `(n, P) -> (k, P)` with k <= n.
+    See the text after Eq. (6) of `[Roussel2021]_`.
     """
     points = as_points(points, "points", len(np.asarray(upper)))
     return np.maximum(points[is_below(points, upper)], np.asarray(lower, dtype=np.float64))

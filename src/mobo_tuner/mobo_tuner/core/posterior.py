@@ -12,14 +12,14 @@ from mobo_tuner.core.kernels import Kernel, squared_distances
 from mobo_tuner.core.linear_algebra import FloatArray, cholesky, inverse_triangle
 
 RELATIVE_JITTER = 1e-10
-"""Share of the signal variance on the diagonal of every covariance: it can be factorised then."""
+"""Fraction of the signal variance added to the diagonal of every covariance before factorisation."""
 
 _LEAST_VARIANCE = 1e-12
 _BLOCK = 128
 
 
 class Gradients(NamedTuple):
-    """Gradients in x of the posterior's mean and standard deviation, each `(m, d)`."""
+    """Gradients in x of the posterior's mean and standard deviation, `(m, d)` each."""
 
     mean: FloatArray
     stddev: FloatArray
@@ -29,12 +29,12 @@ class TriangularPosterior:
     """A posterior whose mean is `k(x)^T w` and whose variance is `s^2 - |T k(x)|^2`.
 
     Attributes:
-        kernel: covariance function of d inputs.
-        variance: signal variance s^2.
-        factor: `(d, d)`, from inputs to `scaled` ones, see `Kernel.factor`.
-        scaled: the n observations' inputs times the factor, `(n, d)`.
-        inverse: the lower triangle T `(n, n)`, in Fortran order.
-        weights: w `(n,)`.
+        kernel: Covariance function of d inputs.
+        variance: Signal variance s^2.
+        factor: Matrix from inputs to scaled inputs `(d, d)`, see `Kernel.factor`.
+        scaled: Scaled inputs of the n observations `(n, d)`.
+        inverse: Lower triangle T `(n, n)`, in Fortran order.
+        weights: Weights w `(n,)`.
     """
 
     kernel: Kernel
@@ -45,7 +45,7 @@ class TriangularPosterior:
     weights: FloatArray
 
     def predict(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation `(m,)` of the latent function at x `(m, d)`; O(m n^2)."""
+        """Return mean and standard deviation `(m,)` of the function at x `(m, d)`; O(m n^2)."""
         mean, stddev = np.empty(len(x)), np.empty(len(x))
         for rows in _blocks(len(x)):
             scaled = x[rows] @ self.factor
@@ -54,7 +54,7 @@ class TriangularPosterior:
         return mean, stddev
 
     def predict_with_gradient(self, x: FloatArray) -> tuple[FloatArray, FloatArray, Gradients]:
-        """As `predict`, with the gradients in x; about twice the time."""
+        """Return the results of `predict` and their gradients in x, in about twice the time."""
         mean, stddev = np.empty(len(x)), np.empty(len(x))
         gradients = Gradients(np.empty_like(x), np.empty_like(x))
         for rows in _blocks(len(x)):
@@ -68,7 +68,7 @@ class TriangularPosterior:
             gradients.mean[rows] = pull @ self.factor.T
             slope *= _times_triangle(self.inverse, projected, transposed=True).T
             pull = slope.sum(axis=1)[:, None] * scaled - slope @ self.scaled
-            # At the floor of the standard deviation its gradient is none.
+            # At the lowest standard deviation, its gradient is zero.
             varies = stddev[rows] > self._least_stddev
             pull /= np.where(varies, stddev[rows], np.inf)[:, None]
             gradients.stddev[rows] = pull @ self.factor.T
@@ -79,7 +79,7 @@ class TriangularPosterior:
         return float(np.sqrt(_LEAST_VARIANCE * self.variance))
 
     def _moments(self, profile: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Mean and standard deviation `(m,)`, and `L^-1 k` `(n, m)`, from the profile `(m, n)`."""
+        """Return mean, standard deviation `(m,)` and `L^-1 k` `(n, m)`, from the profile `(m, n)`."""
         covariance = self.variance * profile
         projected = _times_triangle(self.inverse, covariance.T)
         unexplained = self.variance - np.einsum("ij,ij->j", projected, projected)
@@ -94,16 +94,16 @@ class Posterior(TriangularPosterior):
         sigma(x)^2 = k(x, x) - k(x)^T K^-1 k(x)
         K_ij       = s^2 (g(r_ij^2) + 1e-10 delta_ij) + noise_i delta_ij
 
-    Holds the inverse of the Cholesky factor of K, so that predictions are products with a triangle.
-    O(n^3) to build, O(n^2) for each further observation.
+    It stores the inverse of the Cholesky factor of K, so that predictions are products with a
+    triangle. O(n^3) to build, O(n^2) for each further observation.
 
     Args:
-        kernel: covariance function of d inputs.
-        shape: its shape parameters `(k,)`.
-        variance: signal variance s^2.
-        x: inputs `(n, d)`.
-        z: observations `(n,)`.
-        noise: variances `(n,)` of the observations.
+        kernel: Covariance function of d inputs.
+        shape: Shape parameters of the kernel `(k,)`.
+        variance: Signal variance s^2.
+        x: Inputs `(n, d)`.
+        z: Observations `(n,)`.
+        noise: Noise variances of the observations `(n,)`.
     """
 
     def __init__(
@@ -136,11 +136,16 @@ class Posterior(TriangularPosterior):
         return np.asarray(blas.dtrmv(self.inverse, half, lower=1, trans=1))
 
     def add(self, x: FloatArray, z: FloatArray, noise: FloatArray) -> None:
-        """Take one more observation: x `(1, d)`, z and noise variance `(1,)`.
+        """Add one observation.
 
-        A new last row of the factor, O(n^2); a new factorisation, O(n^3), in the rare case that the
-        row is lost to rounding. `factorised` is the number of observations at the last
+        It adds a last row to the factor, O(n^2), or factorises again, O(n^3), in the rare case that
+        rounding errors dominate that row. `factorised` is the number of observations at the last
         factorisation.
+
+        Args:
+            x: Input `(1, d)`.
+            z: Observation `(1,)`.
+            noise: Noise variance `(1,)`.
         """
         n = len(self.z)
         inputs = np.vstack([self.x, x])
@@ -164,9 +169,9 @@ class Posterior(TriangularPosterior):
         self.weights = self._solve(values)
 
     def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
-        """Excess of each observation over its prediction from all others, and its variance.
+        """Return the excess of each observation over its prediction from all others, and its variance.
 
-        Both `(n,)`, `[Rasmussen2006]_` Eq. (5.12), the noise included in the variance; O(n^2).
+        Both `(n,)`, `[Rasmussen2006]_` Eq. (5.12); the variance includes the noise; O(n^2).
         """
         precision = np.einsum("ij,ij->j", self.inverse, self.inverse)
         return self.weights / precision, 1.0 / precision
@@ -181,7 +186,7 @@ class Posterior(TriangularPosterior):
 
 
 def _blocks(m: int) -> Iterator[slice]:
-    """Rows in blocks whose covariances stay in the processor's cache."""
+    """Yield blocks of rows whose covariances fit into the processor's cache."""
     for start in range(0, m, _BLOCK):
         yield slice(start, min(start + _BLOCK, m))
 
@@ -189,7 +194,7 @@ def _blocks(m: int) -> Iterator[slice]:
 def _times_triangle(
     inverse: FloatArray, columns: FloatArray, transposed: bool = False
 ) -> FloatArray:
-    """Lower triangular `(n, n)`, or its transpose, times columns `(n, m)` in Fortran order."""
+    """Return a lower triangle `(n, n)` or its transpose, times columns `(n, m)` in Fortran order."""
     if columns.shape[1] == 1:
         product = blas.dtrmv(inverse, columns[:, 0], lower=1, trans=int(transposed))
         return np.asarray(product)[:, None]

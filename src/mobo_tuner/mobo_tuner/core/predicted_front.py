@@ -1,7 +1,7 @@
-"""The Pareto front as the models predict it: non-dominated posterior means over the whole space.
+"""The predicted Pareto front: non-dominated posterior means over the whole space.
 
-Found by a small genetic search, which costs the models next to nothing: what survives of each
-generation is what no other prediction dominates, thinned where it is crowded.
+It is found by a small genetic search, which needs little time. The predictions that no other one
+dominates survive each generation, except for some in crowded regions.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ def predict_front(
 ) -> tuple[Array, Array, Array]:
     """Search for the predicted front.
 
-    Its points meet every constraint by their means, are more likely valid than not, and better than
-    the reference point.
+    The predicted means of its points meet every constraint and are better than the reference point;
+    each point is valid with a probability of at least one half.
 
     Args:
-        problem: of d variables and P objectives.
-        models: of its quantities, up to date.
-        known: set-points ``(n, d)`` from which the search starts, too.
-        rng: of the random choices.
-        size: most points of the front.
+        problem: Problem with d variables and P objectives.
+        models: Trained models of its quantities.
+        known: Additional normalised set-points from which the search starts ``(n, d)``.
+        rng: Random number generator.
+        size: Highest number of points.
 
     Returns:
-        Set-points ``(k, d)`` in [-1, 1], means and standard deviations ``(k, P)`` of the minimised
-        objectives, k at most `size` and perhaps 0.
+        The set-points ``(k, d)`` in [-1, 1], and the means and standard deviations ``(k, P)`` of the
+        minimised objectives; k is at most `size` and may be 0.
     """
     d = len(problem.variables)
     front = 2.0 * qmc.Sobol(d, rng=rng).random(_FIRST) - 1.0
@@ -56,7 +56,7 @@ def predict_front(
 
 
 def _survivors(problem: Problem, models: Models, x: Array, size: int) -> tuple[Array, Array]:
-    """Those of x ``(m, d)`` that the front is made of, and their means."""
+    """Return the rows of x ``(m, d)`` that are on the front, and their means."""
     means = np.column_stack([model.predict(x)[0] for model in models.objectives])
     good = is_below(means, problem.reference_point)
     for model, lower, upper in models.constraints:
@@ -73,7 +73,7 @@ def _survivors(problem: Problem, models: Models, x: Array, size: int) -> tuple[A
 
 
 def _spread(points: Array, size: int) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    """Rows of `size` points that are far from each other, the best in each objective among them."""
+    """Return `size` rows of points that are far from each other, with the best in each objective."""
     if len(points) <= size:
         return np.arange(len(points))
     low, high = points.min(axis=0), points.max(axis=0)
@@ -88,7 +88,7 @@ def _spread(points: Array, size: int) -> np.ndarray[tuple[int], np.dtype[np.intp
 
 
 def _children(parents: Array, step: float, rng: np.random.Generator) -> Array:
-    """Mixtures of pairs of parents, moved a little: ``(m, d)`` in [-1, 1]."""
+    """Return mixtures of pairs of parents with small random changes, ``(m, d)`` in [-1, 1]."""
     mothers, fathers = (parents[rng.integers(len(parents), size=_CHILDREN)] for _ in range(2))
     share = rng.uniform(-0.1, 1.1, size=(_CHILDREN, 1))
     mixed = mothers + share * (fathers - mothers) * (rng.random(mothers.shape) < 0.8)

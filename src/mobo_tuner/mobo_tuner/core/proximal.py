@@ -10,19 +10,19 @@ from mobo_tuner.core.pareto import FloatArray
 
 
 class ProximalBiasing(AcquisitionFunction):
-    """exp(-1/2 (x - x_0)^T Lambda (x - x_0)), `[Roussel2021]_` Eq. (eqn:restricted_acq)."""
+    """exp(-1/2 (x - x_0)^T Lambda (x - x_0)), `[Roussel2021]_` Eq. (10) (eqn:restricted_acq)."""
 
     def __init__(self, center: ArrayLike, precision: ArrayLike) -> None:
         """Set the current point and the cost of leaving it.
 
         Args:
-            center: `(d,)`, x_0, normalised.
-            precision: Lambda in normalised space, where each variable spans 2. One number for all
-                variables, `(d,)` costs of the variables as its diagonal, or the full matrix
+            center: Current normalised set-point x_0 `(d,)`.
+            precision: Precision matrix Lambda in normalised space, in which each variable has a
+                range of 2: one number for all variables, the diagonal `(d,)`, or the full matrix
                 `(d, d)`, symmetric and positive semi-definite.
 
         Raises:
-            ValueError: if a shape does not fit, a value is not finite or Lambda is not positive
+            ValueError: If a shape is wrong, a value is not finite or Lambda is not positive
                 semi-definite.
         """
         self._center = np.array(center, dtype=np.float64)

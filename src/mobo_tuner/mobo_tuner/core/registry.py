@@ -1,8 +1,7 @@
-"""Registries: what can be chosen by name in a parameter file, such as a kernel.
+"""Registries of classes that a parameter file chooses by name, such as kernels.
 
-A class of the project enters a registry by the decorator `register`. An installed package adds its
-own by an entry point of the registry's group, so that what a file names is never more than what
-somebody installed.
+A class of the project is added by the decorator `register`, a class of an installed package by an
+entry point of the registry's group. So a file can only name installed classes.
 """
 
 from __future__ import annotations
@@ -19,12 +18,12 @@ C = TypeVar("C")
 
 
 class Registry(Collection[str], Generic[T]):
-    """The classes of one kind, each by its name.
+    """The classes of one kind by name.
 
     Args:
-        choice: Choice of the optimiser that names one of them.
-        group: Group of the entry points by which installed packages add theirs.
-        base: Class that each of them extends.
+        choice: Setting of the optimiser that selects one of the classes.
+        group: Group of the entry points with which installed packages add classes.
+        base: Base class of all classes.
     """
 
     def __init__(self, choice: str, group: str, base: Callable[..., T]) -> None:
@@ -34,7 +33,7 @@ class Registry(Collection[str], Generic[T]):
         self._classes: dict[str, type[T]] = {}
 
     def register(self, name: str) -> Callable[[type[C]], type[C]]:
-        """Return a decorator that enters a class by a name."""
+        """Return a decorator that adds a class under a name."""
 
         def enter(found: type[C]) -> type[C]:
             self._classes[name] = self._checked(name, found)
@@ -43,17 +42,18 @@ class Registry(Collection[str], Generic[T]):
         return enter
 
     def find(self, name: str) -> type[T]:
-        """Return the class of a name.
+        """Return the class with a name.
 
         Raises:
-            ParameterError: If there is none, or that of an installed package cannot be loaded.
+            ParameterError: If there is no such class, or that of an installed package cannot be
+                loaded.
         """
         if name not in self._classes:
             if name not in self._added.names:
                 raise ParameterError(f"{self._choice} is {name!r}; allowed are {', '.join(self)}")
             try:
                 loaded = self._added[name].load()
-            except Exception as error:  # whatever the module of another package raises
+            except Exception as error:  # the module of another package may raise any exception
                 reason = f"{type(error).__name__}: {error}"
                 raise ParameterError(
                     f"{self._choice} is {name!r}, which cannot be loaded: {reason}"
@@ -75,17 +75,17 @@ class Registry(Collection[str], Generic[T]):
         return entry_points(group=self.group)
 
     def __contains__(self, name: object) -> bool:
-        """Whether a class has this name."""
+        """Return whether a class has this name."""
         return name in self._classes or name in self._added.names
 
     def __iter__(self) -> Iterator[str]:
-        """Names of the project's classes, then of those that installed packages add."""
+        """Return the names of the project's classes, then of those that installed packages add."""
         return iter([*self._classes, *sorted(self._added.names - self._classes.keys())])
 
     def __len__(self) -> int:
-        """Number of names."""
+        """Return the number of names."""
         return len(self._classes.keys() | self._added.names)
 
     def __bool__(self) -> bool:
-        """Whether it restricts anything: always, without a look at the installed packages."""
+        """Return True: a registry always restricts a choice; installed packages are not searched."""
         return True

@@ -1,4 +1,4 @@
-"""Several objectives as one: the weighted sum, for comparison and for tuning around a choice."""
+"""Several objectives as one: the weighted sum, for comparisons and for tuning around a point."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ class WeightedSum:
     """A model of sum_p w_p f_p for independent objectives f_p; itself a `Model`.
 
     The sum of independent normal distributions is normal: means add with the weights, variances
-    with their squares. With it, single-objective acquisition functions take several objectives.
+    with their squares. With it, single-objective acquisition functions can be used for several
+    objectives.
     """
 
     def __init__(self, models: Sequence[Model], weights: ArrayLike) -> None:
         """Set models and weights.
 
         Args:
-            models: P of them, of the minimised objectives.
-            weights: `(P,)`, at least zero and not all zero, in the inverse of the objectives'
-                units.
+            models: Models of the P minimised objectives.
+            weights: Weights `(P,)`, at least zero and not all zero, in the inverse of the
+                objectives' units.
 
         Raises:
-            ValueError: if the weights do not fit.
+            ValueError: If the weights are not allowed.
         """
         self._models = tuple(models)
         self._weights = np.array(weights, dtype=np.float64)
