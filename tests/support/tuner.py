@@ -225,7 +225,7 @@ class ScriptedMachine:
 
 
 def toy_values(goal: EvaluateSetpoint.Goal) -> dict[str, float]:
-    """The paper's toy problem, Eq. (eqn:toy_problem)."""
+    """The paper's toy problem, Eq. (5) (eqn:toy_problem)."""
     x = {item.name: item.value for item in goal.setpoint}
     return {
         "f1": math.hypot(x["x1"] - 1.0, x["x2"] - 1.0),

@@ -4,9 +4,9 @@ Every kernel here is a variance times a profile of a squared distance,
 
     k(x, x') = s^2 g(r^2),   r^2 = (x - x')^T Lambda (x - x'),
 
-with the precision matrix Lambda of `[Roussel2021]_` Eq. (eqn:RBF). A kernel class knows its profile
-and how its shape parameters make Lambda; the variance s^2 is held by the model. Length-scales are
-in units of the normalised inputs, where each variable spans [-1, 1].
+with the precision matrix Lambda of `[Roussel2021]_` (appendix, eqn:RBF). A kernel class defines its
+profile and computes Lambda from its shape parameters; the variance s^2 belongs to the model.
+Length-scales are in units of the normalised inputs, in which each variable ranges over [-1, 1].
 
 .. [Roussel2021] R. Roussel, A. Hanuka, A. Edelen, "Multiobjective Bayesian optimization for online
    accelerator tuning", Phys. Rev. Accel. Beams 24, 062801 (2021), Appendix (sec:regression).
@@ -32,28 +32,28 @@ from mobo_tuner.core.registry import Registry
 SHORTEST_LENGTH_SCALE = 0.05
 LONGEST_LENGTH_SCALE = 100.0
 _LARGEST_TRIANGLE_ENTRY = 20.0
-_LENGTH_SCALE_SPREAD = 0.5  # of the logarithm
+_LENGTH_SCALE_SPREAD = 0.5  # scale of the prior of the logarithm
 _FREEDOM = 3.0
 
 
 class ShapePrior(NamedTuple):
-    """Independent priors of shape parameters, Student's t of 3 degrees of freedom in each.
+    """Independent priors of shape parameters, each a Student's t with 3 degrees of freedom.
 
-    A parameter stays near its location until the observations object; then the heavy tail lets it
-    go. Of many length-scales those of the few variables that matter less, or not at all, grow, and
-    the others stay alike. (Under a wide normal prior a handful of observations in many variables
-    calls most of these irrelevant, each time others, and is sure of it.)
+    A parameter stays near its location unless the observations clearly contradict it, which the
+    heavy tail allows. Of many length-scales, those of the few variables that matter less, or not at
+    all, grow, and the others stay similar. (With a wide normal prior, models of a few observations in
+    many variables confidently consider most variables irrelevant, different ones each time.)
 
     Attributes:
-        location: `(k,)`.
-        scale: `(k,)`.
+        location: Location of each parameter's prior `(k,)`.
+        scale: Scale of each parameter's prior `(k,)`.
     """
 
     location: FloatArray
     scale: FloatArray
 
     def penalty(self, parameters: FloatArray) -> tuple[float, FloatArray]:
-        """Minus the log density, up to a constant, and its gradient `(k,)`."""
+        """Return minus the log density, up to a constant, and its gradient `(k,)`."""
         deviation = (parameters - self.location) / self.scale
         excess = _FREEDOM + deviation * deviation
         power = 0.5 * (_FREEDOM + 1.0)
@@ -62,18 +62,19 @@ class ShapePrior(NamedTuple):
 
 
 def typical_log_length_scale(d: int) -> float:
-    """Where the prior of a log length-scale is centred: length-scales of sqrt(d).
+    """Return the centre of the prior of a log length-scale: log sqrt(d).
 
-    The distance of two random points grows as the square root of d, `[Hvarfner2024]_` section 4.
+    The distance between two random points grows as the square root of d, `[Hvarfner2024]_`
+    section 4.
     """
     return float(0.5 * np.log(d))
 
 
 class Kernel(ABC):
-    """Shape of a covariance function of d inputs, by a vector of k shape parameters.
+    """Shape of a covariance function of d inputs, defined by a vector of k shape parameters.
 
-    `parameters` is always that vector `(k,)`: logarithms of positive quantities, and the plain
-    entries of the triangle of the full precision matrix.
+    `parameters` is always that vector `(k,)`: logarithms of positive quantities, and the entries of
+    the triangle of the full precision matrix without a transformation.
     """
 
     def __init__(self, d: int) -> None:
@@ -86,27 +87,27 @@ class Kernel(ABC):
 
     @abstractmethod
     def profile(self, squared_distance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Profile `g(r^2)` and slope `w = -2 dg/d(r^2) >= 0`, of the argument's shape."""
+        """Return the profile `g(r^2)` and slope `w = -2 dg/d(r^2) >= 0`, in the argument's shape."""
 
     @abstractmethod
     def factor(self, parameters: FloatArray) -> FloatArray:
-        """F `(d, d)` with `Lambda = F F^T`: distances are Euclidean between rows of `x F`."""
+        """Return F `(d, d)` with `Lambda = F F^T`: distances are Euclidean between rows of `x F`."""
 
     @abstractmethod
     def pull_back(self, parameters: FloatArray, precision_gradient: FloatArray) -> FloatArray:
-        """Gradient `(k,)` in the parameters of what has the gradient `(d, d)` in Lambda."""
+        """Return the gradient `(k,)` in the parameters for a gradient `(d, d)` in Lambda."""
 
     @abstractmethod
     def default_parameters(self) -> FloatArray:
-        """Start `(k,)` of a training that has no better one."""
+        """Return the default start of a training `(k,)`."""
 
     @abstractmethod
     def bounds(self) -> FloatArray:
-        """Lowest and highest allowed parameters, `(k, 2)`."""
+        """Return the lowest and highest allowed parameters `(k, 2)`."""
 
     @abstractmethod
     def prior(self) -> ShapePrior:
-        """Weakly informative prior of the parameters."""
+        """Return a weakly informative prior of the parameters."""
 
     def from_length_scales(self, length_scales: FloatArray) -> FloatArray:
         """Return the parameters `(k,)` of given length-scales, `(1,)` for all inputs or `(d,)`.
@@ -125,14 +126,14 @@ class Kernel(ABC):
         raise ValueError(f"precision needs kernel 'rbf_full', got {precision.tolist()}")
 
     def gradient(self, parameters: FloatArray, x: FloatArray, weights: FloatArray) -> FloatArray:
-        """Gradient `(k,)` of `sum_ij C_ij g(r_ij^2)` in the parameters, x `(n, d)`, O(n^2 d).
+        """Return the gradient `(k,)` of `sum_ij C_ij g(r_ij^2)` in the parameters, O(n^2 d).
 
         Args:
-            parameters: shape parameters `(k,)`.
-            x: inputs `(n, d)`.
-            weights: `w_ij C_ij` `(n, n)`: slope times the symmetric C, its diagonal zero (it has no
-                influence, and its rounding errors are kept away); either all of it or, with zeros
-                above, twice its lower triangle.
+            parameters: Shape parameters `(k,)`.
+            x: Inputs `(n, d)`.
+            weights: Products `w_ij C_ij` `(n, n)` of the slope and the symmetric C, with a zero
+                diagonal (which has no influence except rounding errors); either the whole matrix or,
+                with zeros above the diagonal, twice its lower triangle.
         """
         row_sums = weights.sum(axis=1) + weights.sum(axis=0)
         moment = x.T @ (weights @ x)
@@ -145,7 +146,11 @@ KERNELS = Registry[Kernel]("kernel", "mobo_tuner.kernels", Kernel)
 
 
 def as_inputs(x: ArrayLike, d: int | None = None) -> FloatArray:
-    """Normalised inputs as an array `(n, d)`; ValueError where not finite or of another shape."""
+    """Return normalised inputs as an array `(n, d)`.
+
+    Raises:
+        ValueError: If a value is not finite or the shape is wrong.
+    """
     inputs = np.asarray(x, dtype=np.float64)
     if inputs.ndim != 2 or inputs.shape[1] == 0 or (d is not None and inputs.shape[1] != d):
         raise ValueError(f"x must have shape (n, {d or 'd >= 1'}), got {inputs.shape}")
@@ -155,7 +160,7 @@ def as_inputs(x: ArrayLike, d: int | None = None) -> FloatArray:
 
 
 def squared_distances(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Squared Euclidean distances `(m, n)` between rows of a `(m, d)` and b `(n, d)`, >= 0."""
+    """Return squared Euclidean distances `(m, n)` >= 0 between rows of a `(m, d)` and b `(n, d)`."""
     products = b @ a.T if a is b else a @ b.T
     products *= -2.0
     products += np.einsum("ij,ij->i", a, a)[:, None]
@@ -165,7 +170,7 @@ def squared_distances(a: FloatArray, b: FloatArray) -> FloatArray:
 
 @KERNELS.register("rbf")
 class RBF(Kernel):
-    """Anisotropic radial basis function, `[Roussel2021]_` Eq. (eqn:RBF) with `Lambda = diag(l)^-2`.
+    """Anisotropic radial basis function, `[Roussel2021]_` (eqn:RBF) with `Lambda = diag(l)^-2`.
 
         k(x, x') = s^2 exp(-r^2 / 2),   r^2 = sum_a (x_a - x'_a)^2 / l_a^2
 
@@ -174,36 +179,36 @@ class RBF(Kernel):
 
     @property
     def size(self) -> int:
-        """One length-scale for each input."""
+        """Number of length-scales: one per input."""
         return self.d
 
     def profile(self, squared_distance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """`g = w = exp(-r^2 / 2)`."""
+        """Return `g = w = exp(-r^2 / 2)`."""
         value = np.exp(-0.5 * squared_distance)
         return value, value
 
     def factor(self, parameters: FloatArray) -> FloatArray:
-        """`diag(1 / l)`."""
+        """Return `diag(1 / l)`."""
         return np.diag(np.exp(-parameters))
 
     def pull_back(self, parameters: FloatArray, precision_gradient: FloatArray) -> FloatArray:
-        """`d Lambda_aa / d log l_a = -2 / l_a^2`."""
+        """Return the gradient, with `d Lambda_aa / d log l_a = -2 / l_a^2`."""
         return np.asarray(-2.0 * np.exp(-2.0 * parameters) * np.diagonal(precision_gradient))
 
     def default_parameters(self) -> FloatArray:
-        """Length-scales of sqrt(d), see `typical_log_length_scale`."""
+        """Return length-scales of sqrt(d), see `typical_log_length_scale`."""
         return np.full(self.size, typical_log_length_scale(self.d))
 
     def bounds(self) -> FloatArray:
-        """Length-scales from 0.05 to 100."""
+        """Return length-scales from 0.05 to 100."""
         return np.tile(np.log([SHORTEST_LENGTH_SCALE, LONGEST_LENGTH_SCALE]), (self.size, 1))
 
     def prior(self) -> ShapePrior:
-        """Around `typical_log_length_scale`."""
+        """Return a prior around `typical_log_length_scale`."""
         return ShapePrior(self.default_parameters(), np.full(self.size, _LENGTH_SCALE_SPREAD))
 
     def from_length_scales(self, length_scales: FloatArray) -> FloatArray:
-        """Their logarithms."""
+        """Return the logarithms of the length-scales."""
         if len(length_scales) not in (1, self.size):
             allowed = "one number" if self.size == 1 else f"one number or {self.size}"
             raise ValueError(
@@ -214,7 +219,7 @@ class RBF(Kernel):
 
 @KERNELS.register("rbf_isotropic")
 class RBFIsotropic(RBF):
-    """Isotropic radial basis function, `[Roussel2021]_` Eq. (eqn:RBF) with `Lambda = I / lambda^2`.
+    """Isotropic radial basis function, `[Roussel2021]_` (eqn:RBF) with `Lambda = I / lambda^2`.
 
         k(x, x') = s^2 exp(-|x - x'|^2 / (2 lambda^2))
 
@@ -223,15 +228,15 @@ class RBFIsotropic(RBF):
 
     @property
     def size(self) -> int:
-        """One length-scale."""
+        """Number of length-scales: one."""
         return 1
 
     def factor(self, parameters: FloatArray) -> FloatArray:
-        """`I / lambda`."""
+        """Return `I / lambda`."""
         return np.asarray(np.eye(self.d) * np.exp(-parameters[0]))
 
     def pull_back(self, parameters: FloatArray, precision_gradient: FloatArray) -> FloatArray:
-        """`d Lambda / d log lambda = -2 I / lambda^2`."""
+        """Return the gradient, with `d Lambda / d log lambda = -2 I / lambda^2`."""
         return np.asarray(-2.0 * np.exp(-2.0 * parameters) * np.trace(precision_gradient))
 
 
@@ -242,12 +247,12 @@ class Matern52(RBF):
         k(x, x') = s^2 (1 + sqrt(5) r + 5 r^2 / 3) exp(-sqrt(5) r)
         r^2 = sum_a (x_a - x'_a)^2 / l_a^2
 
-    Twice differentiable only, so that one kink or steep flank does not spoil the model everywhere.
+    It is only twice differentiable, so that one kink or steep flank does not affect the whole model.
     Parameters: `log l`, `(d,)`.
     """
 
     def profile(self, squared_distance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """`w = 5/3 (1 + sqrt(5) r) exp(-sqrt(5) r)` and `g` as above."""
+        """Return `g` as above and `w = 5/3 (1 + sqrt(5) r) exp(-sqrt(5) r)`."""
         root = np.sqrt(5.0 * squared_distance)
         slope = np.exp(-root)
         curvature = slope * squared_distance
@@ -264,9 +269,9 @@ class RBFFull(Kernel):
 
         k(x, x') = s^2 exp(-(x - x')^T Lambda (x - x') / 2),   Lambda = L L^T + diag(l)
 
-    with L an upper triangle, its diagonal included, and l positive. Parameters: the d (d + 1) / 2
-    entries of L row by row, then `log l`; `(d (d + 3) / 2,)`. (The gradients in L vanish at L = 0:
-    it starts elsewhere.)
+    with L an upper triangle including its diagonal, and l positive. Parameters: the d (d + 1) / 2
+    entries of L row by row, then `log l`; `(d (d + 3) / 2,)`. (The gradients in L vanish at L = 0, so
+    a training starts elsewhere.)
     """
 
     def __init__(self, d: int) -> None:
@@ -275,7 +280,7 @@ class RBFFull(Kernel):
 
     @property
     def size(self) -> int:
-        """The d (d + 1) / 2 entries of the triangle and d of the diagonal."""
+        """Number of parameters: d (d + 1) / 2 for the triangle and d for the diagonal."""
         return len(self._rows) + self.d
 
     def _triangle(self, parameters: FloatArray) -> FloatArray:
@@ -284,13 +289,13 @@ class RBFFull(Kernel):
         return triangle
 
     def precision(self, parameters: FloatArray) -> FloatArray:
-        """The precision matrix Lambda `(d, d)`."""
+        """Return the precision matrix Lambda `(d, d)`."""
         triangle = self._triangle(parameters)
         diagonal = np.diag(np.exp(parameters[len(self._rows) :]))
         return np.asarray(triangle @ triangle.T + diagonal)
 
     def from_length_scales(self, length_scales: FloatArray) -> FloatArray:
-        """Those of the diagonal Lambda."""
+        """Return the parameters of the diagonal Lambda."""
         if len(length_scales) not in (1, self.d):
             raise ValueError(
                 f"length_scales must be one number or {self.d} for {self.d} inputs, "
@@ -299,9 +304,9 @@ class RBFFull(Kernel):
         return self.from_precision(np.eye(self.d) / length_scales**2)
 
     def from_precision(self, precision: FloatArray) -> FloatArray:
-        """Those of any Lambda.
+        """Return the parameters of any positive definite Lambda.
 
-        The least eigenvalue, halved, makes the diagonal l and what is left makes the triangle.
+        Half of the lowest eigenvalue gives the diagonal l, and the rest gives the triangle.
         """
         floor = 0.5 * float(np.linalg.eigvalsh(precision)[0])
         rest = precision - floor * np.eye(self.d)
@@ -315,23 +320,23 @@ class RBFFull(Kernel):
         return value, value
 
     def factor(self, parameters: FloatArray) -> FloatArray:
-        """The lower Cholesky factor of Lambda."""
+        """Return the lower Cholesky factor of Lambda."""
         return np.asarray(np.linalg.cholesky(self.precision(parameters)), dtype=np.float64)
 
     def pull_back(self, parameters: FloatArray, precision_gradient: FloatArray) -> FloatArray:
-        """`2 G L` in the triangle and `G_aa l_a` in `log l_a`, with G the gradient in Lambda."""
+        """Return `2 G L` for the triangle and `G_aa l_a` for `log l_a`; G is the gradient in Lambda."""
         triangle = 2.0 * precision_gradient @ self._triangle(parameters)
         diagonal = np.diagonal(precision_gradient) * np.exp(parameters[len(self._rows) :])
         return np.concatenate([triangle[self._rows, self._columns], diagonal])
 
     def default_parameters(self) -> FloatArray:
-        """Length-scales of sqrt(d), half of the precision from either part, no correlation."""
+        """Return length-scales of sqrt(d), half of the precision from either part, no correlation."""
         half = 0.5 * np.exp(-2.0 * typical_log_length_scale(self.d))
         triangle = np.where(self._rows == self._columns, np.sqrt(half), 0.0)
         return np.concatenate([triangle, np.full(self.d, np.log(half))])
 
     def bounds(self) -> FloatArray:
-        """The diagonal as for length-scales from 0.05 to 100, L within 20."""
+        """Return bounds of the diagonal for length-scales from 0.05 to 100, and of 20 for L."""
         triangle = np.tile(
             [-_LARGEST_TRIANGLE_ENTRY, _LARGEST_TRIANGLE_ENTRY], (len(self._rows), 1)
         )
@@ -339,7 +344,7 @@ class RBFFull(Kernel):
         return np.concatenate([triangle, np.tile(limits, (self.d, 1))])
 
     def prior(self) -> ShapePrior:
-        """Around zero in the triangle; the diagonal as inverse squares of length-scales."""
+        """Return a prior around zero for L, and as for inverse squared length-scales for l."""
         m = len(self._rows)
         return ShapePrior(
             np.concatenate([np.zeros(m), np.full(self.d, -2.0 * typical_log_length_scale(self.d))]),
@@ -348,24 +353,26 @@ class RBFFull(Kernel):
 
 
 def precision_from_hessian(hessian: ArrayLike, amplitude: float) -> FloatArray:
-    """Precision matrix `(d, d)` from the Hessian of the modelled function at an optimum.
+    """Return the precision matrix `(d, d)` from the Hessian of the modelled function at an optimum.
 
-    Near an optimum of height A above (or depth below) its surroundings, `A exp(-x^T Lambda x / 2)`
-    has the Hessian `-A Lambda`; hence `Lambda = |H| / A`, `[Hanuka2021]_`, the last sentence of
-    `[Roussel2021]_` (sec:regression). Eigenvalues are taken by their absolute value and kept within
-    the allowed length-scales (0.05 to 100), so that a saddle, a flat direction or a noisy estimate
-    still gives a valid matrix.
+    Near an optimum with height A above (or depth below) its surroundings, `A exp(-x^T Lambda x / 2)`
+    has the Hessian `-A Lambda`; hence `Lambda = |H| / A`, `[Hanuka2021]_`, last sentence of
+    `[Roussel2021]_` (sec:regression). The absolute values of the eigenvalues are limited to the
+    allowed length-scales (0.05 to 100), so that a saddle, a flat direction or a noisy estimate also
+    gives a valid matrix.
 
     Args:
-        hessian: symmetric `(d, d)`, second derivatives in normalised inputs, in the output's units.
-        amplitude: height A > 0 in the output's units, such as the process' standard deviation.
+        hessian: Symmetric matrix `(d, d)` of second derivatives in normalised inputs, in the
+            output's units.
+        amplitude: Height A > 0 in the output's units, such as the process' standard deviation.
 
     Returns:
-        Symmetric positive definite `(d, d)`; `1 / sqrt(diagonal)` are length-scales for an
+        A symmetric positive definite matrix `(d, d)`; `1 / sqrt(diagonal)` are length-scales for an
         anisotropic kernel.
 
     Raises:
-        ValueError: the Hessian is not square, symmetric and finite, or the amplitude not positive.
+        ValueError: If the Hessian is not square, symmetric and finite, or the amplitude is not
+            positive.
     """
     matrix = np.asarray(hessian, dtype=np.float64)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not np.isfinite(matrix).all():

@@ -167,7 +167,7 @@ CHOICES = tuple(f.name for f in fields(OptimizerSettings))
 PRESETS: dict[str, OptimizerSettings] = {
     "default": OptimizerSettings(),
     # [Roussel2021]_, section subsec:convergence: 20 Latin-hypercube points, anisotropic RBF, prior mean at the
-    # reference point (text after Eq. (eqn:EHVI)), Adam with 5000 steps and then 1000 every 10 observations,
+    # reference point (text after Eq. (3), eqn:EHVI), Adam with 5000 steps and then 1000 every 10 observations,
     # UCB-HVI with beta = 0.01, particle swarm of 64 individuals over 10 generations.
     "paper": OptimizerSettings(
         initial_evaluations=20,
