@@ -15,13 +15,14 @@ from std_msgs.msg import Float64
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
+from mobo_tuner.machine.double import Answer
 from mobo_tuner.ros.qos import LATCHED, STREAM
 from tests.support.processes import NodeProcess, NodeStarter
 from tests.support.tuner import (
     GoalClient,
     Listener,
-    ScriptedMachine,
     journal,
+    toy_machine,
     toy_values,
     tune_client,
 )
@@ -227,14 +228,14 @@ def test_failed_evaluations_are_recorded_and_the_run_goes_on(
     node: Node,
     tmp_path: Path,
 ) -> None:
-    def answer(goal: EvaluateSetpoint.Goal) -> tuple[dict[str, float], int, str]:
+    def answer(goal: EvaluateSetpoint.Goal) -> Answer:
         if goal.index == 1:
-            return {"f1": 1.0}, FAILED, "the camera saw nothing"
+            return Answer({"f1": 1.0}, FAILED, "the camera saw nothing")
         if goal.index == 2:
-            return toy_values(goal) | {"f2": math.nan}, NONE, ""
-        return toy_values(goal), NONE, ""
+            return Answer(toy_values(goal) | {"f2": math.nan})
+        return Answer(toy_values(goal))
 
-    machine = ScriptedMachine(node, answer)
+    machine = toy_machine(node, answer)
     start_tuner("initial_evaluations:=5")
     client.send(Tune.Goal(run_id="failing", evaluations=7))
     result = client.wait()
@@ -253,7 +254,7 @@ def test_failed_evaluations_are_recorded_and_the_run_goes_on(
 def test_a_machine_that_keeps_failing_ends_the_run(
     start_tuner: Callable[..., NodeProcess], client: GoalClient, node: Node
 ) -> None:
-    ScriptedMachine(node, lambda _: ({}, FAILED, "no beam"))
+    toy_machine(node, lambda _: Answer({}, FAILED, "no beam"))
     start_tuner("max_consecutive_failures:=4")
     client.send(Tune.Goal(evaluations=50))
     result = client.wait()
@@ -266,7 +267,7 @@ def test_an_interlocked_machine_ends_the_run_with_its_own_words(
     start_tuner: Callable[..., NodeProcess], client: GoalClient, node: Node
 ) -> None:
     code = EvaluateSetpoint.Result.INTERLOCK
-    ScriptedMachine(node, lambda goal: (toy_values(goal), code if goal.index else NONE, "vacuum"))
+    toy_machine(node, lambda goal: Answer(toy_values(goal), code if goal.index else NONE, "vacuum"))
     start_tuner()
     client.send(Tune.Goal(evaluations=50))
     result = client.wait()

@@ -6,24 +6,22 @@ import json
 import math
 import time
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from action_msgs.srv import CancelGoal
 from rcl_interfaces.srv import GetParameterTypes, SetParametersAtomically
-from rclpy.action import ActionClient, ActionServer, CancelResponse
+from rclpy.action import ActionClient
 from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
-from mobo_msgs_py.srv import DescribeMachine
-from mobo_tuner.ros.waiting import first_of
+from mobo_tuner.machine.double import Answer, MachineDouble
 from tests.support.processes import TIMEOUT
 
 CONFIG = Path(__file__).parents[2] / "config"
@@ -144,86 +142,6 @@ def journal(tmp_path: Path, run_id: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in text.splitlines()]
 
 
-Answerer = Callable[[EvaluateSetpoint.Goal], tuple[Mapping[str, float], int, str]]
-
-
-class ScriptedMachine:
-    """A machine of the toy problem's shape, written against the interface package alone.
-
-    Attributes:
-        answer: gives, for a goal, the diagnostics, the error code and the error message.
-        goals: that came so far.
-        held: while true, evaluations go on, until they are canceled.
-        silent: while true, evaluations go on without feedback, and cancels are not heeded.
-        times: when the goals came, by `time.monotonic` [s].
-        identity: gives the run id, index and attempt that a result carries.
-    """
-
-    def __init__(self, node: Node, answer: Answerer) -> None:
-        self.answer = answer
-        self.goals: list[EvaluateSetpoint.Goal] = []
-        self.times: list[float] = []
-        self.held = False
-        self.silent = False
-        self.identity: Callable[[EvaluateSetpoint.Goal], tuple[str, int, int]] = lambda goal: (
-            goal.run_id,
-            goal.index,
-            goal.attempt,
-        )
-        self._node = node
-        self._service = node.create_service(DescribeMachine, "describe_machine", self._describe)
-        self._server = ActionServer(
-            node,
-            EvaluateSetpoint,
-            "evaluate_setpoint",
-            self._execute,
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
-            result_timeout=10,
-        )
-
-    def close(self) -> None:
-        """Go away."""
-        self._server.destroy()
-        self._node.destroy_service(self._service)
-
-    @staticmethod
-    def _describe(
-        _: DescribeMachine.Request, response: DescribeMachine.Response
-    ) -> DescribeMachine.Response:
-        response.name = "scripted"
-        response.variables = [msg.Variable(name=n, min=-2.0, max=2.0) for n in ("x1", "x2")]
-        response.diagnostics = [msg.Observable(name=n) for n in ("f1", "f2")]
-        return response
-
-    async def _execute(self, handle: Any) -> EvaluateSetpoint.Result:
-        goal = handle.request
-        self.goals.append(goal)
-        self.times.append(time.monotonic())
-        while self.silent:
-            await first_of(self._node, timeout=0.1)
-        while self.held and not handle.is_cancel_requested:
-            handle.publish_feedback(EvaluateSetpoint.Feedback(phase="measuring"))
-            await first_of(self._node, timeout=0.1)
-        values, code, text = self.answer(goal)
-        if handle.is_cancel_requested:
-            values, code, text = {}, EvaluateSetpoint.Result.CANCELED, "stopped"
-        run_id, index, attempt = self.identity(goal)
-        result = EvaluateSetpoint.Result(
-            run_id=run_id, index=index, attempt=attempt, error_code=code, error_msg=text
-        )
-        result.readbacks = list(goal.setpoint)
-        result.diagnostics = [
-            msg.NamedValue(name=n, value=v, stddev=math.nan) for n, v in values.items()
-        ]
-        if handle.is_cancel_requested:
-            handle.canceled()
-        elif code == EvaluateSetpoint.Result.NONE:
-            handle.succeed()
-        else:
-            handle.abort()
-        return result
-
-
 def toy_values(goal: EvaluateSetpoint.Goal) -> dict[str, float]:
     """The paper's toy problem, Eq. (5) (eqn:toy_problem)."""
     x = {item.name: item.value for item in goal.setpoint}
@@ -231,3 +149,11 @@ def toy_values(goal: EvaluateSetpoint.Goal) -> dict[str, float]:
         "f1": math.hypot(x["x1"] - 1.0, x["x2"] - 1.0),
         "f2": math.hypot(x["x1"] + 1.0, x["x2"] + 1.0),
     }
+
+
+def toy_machine(
+    node: Node,
+    answer: Callable[[EvaluateSetpoint.Goal], Answer] = lambda goal: Answer(toy_values(goal)),
+) -> MachineDouble:
+    """A double of the toy problem's machine, which measures what the problem says or `answer`."""
+    return MachineDouble(node, dict.fromkeys(("x1", "x2"), (-2.0, 2.0)), ("f1", "f2"), answer)

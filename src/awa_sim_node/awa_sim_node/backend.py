@@ -60,7 +60,6 @@ class SimulatedBackend(MachineBackend):
         self._speed = speed
         self._now = now
         self._last = now()
-        self.inactive = "the machine's node is not configured"
         self.name = description.title
         self.max_shots = MAX_SHOTS
         self.variables = [
@@ -80,33 +79,13 @@ class SimulatedBackend(MachineBackend):
         self.on_measured: Callable[[EvaluationResult], None] = lambda _: None
 
     def connect(self, machine: SimulatedMachine) -> None:
-        """Connect a machine. Motion stays disabled until `activate`."""
+        """Connect a machine."""
         self.machine = machine
         self._last = self._now()
-        self.deactivate("the machine's node is not active")
 
     def disconnect(self) -> None:
         """Disconnect the machine."""
-        self.deactivate("the machine's node is not configured")
         self.machine = None
-
-    def activate(self) -> None:
-        """Allow motion."""
-        self.inactive = ""
-
-    def deactivate(self, reason: str) -> None:
-        """Stop all motion and refuse further motion.
-
-        Args:
-            reason: Reason that later refusals give.
-        """
-        self.inactive = reason
-        self.hold()
-
-    @property
-    def active(self) -> bool:
-        """Whether motion is allowed."""
-        return not self.inactive
 
     def refusal(self) -> Failure | None:
         """Return why an action may not move the machine now, or None."""

@@ -7,12 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_system_default
 from rosgraph_msgs.msg import Clock as ClockMessage
 
@@ -23,27 +21,20 @@ from awa_sim_node.health import Health
 from awa_sim_node.machine import EvaluationResult, SimulatedMachine, behaviour_of, describe
 from awa_sim_node.machine.behaviour import Mode
 from awa_sim_node.parameters import AWA_SIM, behaviour_specs
-from mobo_msgs_py.action import EvaluateSetpoint
-from mobo_tuner.machine.backend import Failure
-from mobo_tuner.machine.server import MachineServer
-from mobo_tuner.ros.lifecycle import refuse_unknown_transitions
+from mobo_tuner.machine.node import MachineNode
 from mobo_tuner.ros.parameters import declare
-from mobo_tuner.ros.process import StartError, exit_process, run_node
+from mobo_tuner.ros.process import exit_process, run_node
 
 HEALTH_PERIOD = 1.0  # [s]
 CLOCK_PERIOD = 0.05  # [s] of wall time
-_SUCCESS = TransitionCallbackReturn.SUCCESS
 
 
-class AwaSim(LifecycleNode):
+class AwaSim(MachineNode):
     """The node of one simulated machine.
 
     `configure` switches the machine on, `activate` allows motion, `deactivate` stops all motion,
-    `cleanup` switches it off. Every interface exists from the start and refuses requests that the
-    current state does not allow.
+    `cleanup` switches it off.
     """
-
-    exit_code = None
 
     def __init__(self, executor: Executor) -> None:
         """Declare the parameters; with `autostart`, also configure and activate.
@@ -57,28 +48,15 @@ class AwaSim(LifecycleNode):
             ValueError: If a parameter is not allowed.
             StartError: If the machine could not be switched on.
         """
-        super().__init__("awa_sim")
-        refuse_unknown_transitions(self)
-        try:
-            self._values = declare(self, AWA_SIM)
-            model, mode = str(self._values["model"]), str(self._values["mode"])
-            self._behaviour = declare(self, behaviour_specs(model, mode))
-            behaviour_of(model, Mode(mode)).changed(self._behaviour)
-        except ValueError:
-            self.destroy_node()
-            raise
-        self.add_on_set_parameters_callback(self._refuse_unknown_parameters)
-        description = describe(model)
-        self._speed = float(self._values["speed"])
-        self._backend = SimulatedBackend(self, description, self._speed, self._passing_time())
-        self._server = MachineServer(self, self._backend, executor)
-        self._devices = Devices(self, self._backend, self._server)
+        super().__init__("awa_sim", executor, self._create)
+        description = describe(str(self._values["model"]))
+        self._devices = Devices(self, self._simulated, self.server)
         self._beam = BeamTopics(self, description, bool(self._values["publish_truth"]))
-        self._health = Health(self, self._backend)
+        self._health = Health(self, self._simulated)
         self._last_free_shot = 0.0
-        self._backend.on_shot = self._beam.publish
-        self._backend.on_step = self._devices.publish_changes
-        self._backend.on_measured = self._measured
+        self._simulated.on_shot = self._beam.publish
+        self._simulated.on_step = self._devices.publish_changes
+        self._simulated.on_measured = self._measured
         self._every(1.0 / float(self._values["stream_rate"]), self._stream)
         self._every(HEALTH_PERIOD, self._health.publish)
         if self._values["publish_clock"]:
@@ -87,19 +65,19 @@ class AwaSim(LifecycleNode):
                 ClockMessage, "/clock", qos_profile_system_default
             )
             self._every(CLOCK_PERIOD, self._publish_clock)
-        if self._values["autostart"]:
-            if self.trigger_configure() is _SUCCESS:
-                self.trigger_activate()
-            if not self._backend.active:
-                self.destroy_node()
-                raise StartError("the machine could not be switched on; the log above says why")
+        self.autostart()
 
-    @property
-    def node(self) -> Node:
-        """The rclpy node: itself."""
-        return self
+    def _create(self, node: Node, _: Executor) -> SimulatedBackend:
+        """Declare the parameters and return the backend."""
+        self._values = declare(node, AWA_SIM)
+        model, mode = str(self._values["model"]), str(self._values["mode"])
+        self._behaviour = declare(node, behaviour_specs(model, mode))
+        behaviour_of(model, Mode(mode)).changed(self._behaviour)
+        self._speed = float(self._values["speed"])
+        self._simulated = SimulatedBackend(node, describe(model), self._speed, self._passing_time())
+        return self._simulated
 
-    def on_configure(self, _: LifecycleState) -> TransitionCallbackReturn:
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Switch the machine on."""
         values = self._values
         try:
@@ -109,59 +87,30 @@ class AwaSim(LifecycleNode):
         except Exception as error:  # rclpy would not log it
             self.get_logger().error(f"the machine could not be switched on: {error!r}")
             return TransitionCallbackReturn.FAILURE
-        self._backend.connect(machine)
+        self._simulated.connect(machine)
         self._last_free_shot = 0.0
         self.get_logger().info(
-            f"{self._backend.name}: configured, {machine.mode}, {self._speed:g} times real time"
+            f"{self.backend.name}: configured, {machine.mode}, {self._speed:g} times real time"
         )
-        return _SUCCESS
+        return super().on_configure(state)
 
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Allow motion."""
-        self._backend.activate()
-        self.get_logger().info(f"{self._backend.name}: ready")
-        return super().on_activate(state)
-
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop all motion."""
-        self._halt("the machine's node was deactivated")
-        return super().on_deactivate(state)
-
-    def on_cleanup(self, _: LifecycleState) -> TransitionCallbackReturn:
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Switch the machine off."""
-        self._backend.disconnect()
-        return _SUCCESS
+        done = super().on_cleanup(state)
+        self._simulated.disconnect()
+        return done
 
-    def on_shutdown(self, _: LifecycleState) -> TransitionCallbackReturn:
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop all motion and switch the machine off."""
-        self._halt("the machine's node was shut down")
-        self._backend.disconnect()
-        return _SUCCESS
+        done = super().on_shutdown(state)
+        self._simulated.disconnect()
+        return done
 
-    def on_error(self, _: LifecycleState) -> TransitionCallbackReturn:
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Switch the machine off after a failed transition."""
-        self._halt("the machine's node failed")
-        self._backend.disconnect()
-        return _SUCCESS
-
-    async def stop(self) -> None:
-        """Stop all motion; the machine holds its position."""
-        await self._server.stop()
-
-    def close(self) -> None:
-        """Release the node."""
-        self.destroy_node()
-
-    def _halt(self, reason: str) -> None:
-        self._server.interrupt(Failure(EvaluateSetpoint.Result.NOT_ACTIVE, reason))
-        self._backend.deactivate(reason)
-        self.get_logger().info(reason)
-
-    def _refuse_unknown_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Refuse parameters that were not declared; rclpy itself accepts one with an empty name."""
-        unknown = [p.name for p in parameters if not self.has_parameter(p.name)]
-        reason = f"the parameter '{unknown[0]}' is unknown" if unknown else ""
-        return SetParametersResult(successful=not unknown, reason=reason)
+        done = super().on_error(state)
+        self._simulated.disconnect()
+        return done
 
     def _passing_time(self) -> Callable[[], float]:
         """Return the clock [s] that drives the machine: wall time, or `/clock` if it is external."""
@@ -177,10 +126,10 @@ class AwaSim(LifecycleNode):
 
     def _stream(self) -> None:
         """Advance time, publish the devices, and take a free-running shot between evaluations."""
-        self._backend.advance()
+        self._simulated.advance()
         self._devices.publish()
-        machine = self._backend.machine
-        if machine is None or not self._backend.active:
+        machine = self._simulated.machine
+        if machine is None or self._simulated.inactive:
             return
         period = 1.0 / machine.behaviour.beam.repetition_rate
         if machine.time - self._last_free_shot < period:
@@ -194,12 +143,12 @@ class AwaSim(LifecycleNode):
     def _measured(self, result: EvaluationResult) -> None:
         self._health.evaluations += 1
         self._health.failures += result.failure is not None
-        if self._backend.machine is not None:
-            self._beam.publish_uncertainty(self._backend.machine.spread())
+        if self._simulated.machine is not None:
+            self._beam.publish_uncertainty(self._simulated.machine.spread())
 
     def _publish_clock(self) -> None:
-        self._backend.advance()
-        now = self._began + self._backend.simulated_time
+        self._simulated.advance()
+        now = self._began + self._simulated.simulated_time
         seconds = int(now)
         self._clock_publisher.publish(
             ClockMessage(clock=Time(sec=seconds, nanosec=int((now - seconds) * 1e9)))

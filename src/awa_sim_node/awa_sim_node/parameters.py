@@ -2,7 +2,7 @@
 
 from awa_sim_node.machine import Mode, behaviour_of
 from awa_sim_node.machine.models import MODEL_NAMES
-from mobo_tuner.parameter_spec import ParameterSpec
+from mobo_tuner.parameter_spec import AUTOSTART, ParameterSpec
 
 AWA_SIM = (
     ParameterSpec(
@@ -26,7 +26,7 @@ AWA_SIM = (
         maximum=1e6,
     ),
     ParameterSpec("seed", 0, "seed of the random number generators", minimum=0, maximum=2**31 - 1),
-    ParameterSpec("autostart", True, "configure and activate the node at its start"),
+    AUTOSTART,
     ParameterSpec(
         "stream_rate",
         5.0,

@@ -214,3 +214,7 @@ def _finite_or_zero(value: float) -> float:
 def _join(words: Sequence[str]) -> str:
     *most, last = words
     return f"{', '.join(most)} or {last}" if most else last
+
+
+AUTOSTART = ParameterSpec("autostart", True, "configure and activate the node at its start")
+"""Parameter of every machine's lifecycle node."""

@@ -12,29 +12,30 @@ from rclpy.node import Node
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
+from mobo_tuner.machine.double import Answer, MachineDouble
 from mobo_tuner.ros.qos import LATCHED
 from tests.support.processes import NodeProcess
-from tests.support.tuner import GoalClient, Listener, ScriptedMachine, journal, toy_values
+from tests.support.tuner import GoalClient, Listener, journal, toy_machine, toy_values
 
 RESULT = EvaluateSetpoint.Result
 FAILED = RESULT.INVALID_MEASUREMENT
 
 
-def identities(machine: ScriptedMachine) -> list[tuple[int, int]]:
+def identities(machine: MachineDouble) -> list[tuple[int, int]]:
     return [(goal.index, goal.attempt) for goal in machine.goals]
 
 
 def test_a_failed_evaluation_is_tried_again_after_longer_and_longer(
     start_tuner: Callable[..., NodeProcess], client: GoalClient, node: Node, tmp_path: Path
 ) -> None:
-    def answer(goal: EvaluateSetpoint.Goal) -> tuple[dict[str, float], int, str]:
+    def answer(goal: EvaluateSetpoint.Goal) -> Answer:
         if goal.index == 1 and goal.attempt < 2:
-            return {}, RESULT.TIMEOUT, "the readback stuck"
+            return Answer({}, RESULT.TIMEOUT, "the readback stuck")
         if goal.index == 2:
-            return {}, FAILED, "no beam"
-        return toy_values(goal), RESULT.NONE, ""
+            return Answer({}, FAILED, "no beam")
+        return Answer(toy_values(goal))
 
-    machine = ScriptedMachine(node, answer)
+    machine = toy_machine(node, answer)
     start_tuner("on_failure:=retry", "max_attempts:=3", "retry_delay:=0.3")
     client.send(Tune.Goal(run_id="again", evaluations=4))
     assert client.wait().error_code == 0
@@ -68,8 +69,8 @@ def test_what_cannot_go_on_ends_the_run(
     sentence: str,
     count: int,
 ) -> None:
-    machine = ScriptedMachine(
-        node, lambda goal: (toy_values(goal), code if goal.index else RESULT.NONE, "no")
+    machine = toy_machine(
+        node, lambda goal: Answer(toy_values(goal), code if goal.index else RESULT.NONE, "no")
     )
     start_tuner(f"on_failure:={policy}", "max_attempts:=2", "retry_delay:=0.1")
     client.send(Tune.Goal(evaluations=50))
@@ -83,7 +84,7 @@ def test_what_cannot_go_on_ends_the_run(
 def test_answers_to_other_evaluations_are_dropped_with_a_warning(
     start_tuner: Callable[..., NodeProcess], client: GoalClient, node: Node, tmp_path: Path
 ) -> None:
-    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), RESULT.NONE, ""))
+    machine = toy_machine(node)
 
     def identity(goal: EvaluateSetpoint.Goal) -> tuple[str, int, int]:
         wrong = {1: ("another", 1, 0), 2: (goal.run_id, 1, 0), 3: (goal.run_id, 3, 7)}
@@ -111,7 +112,7 @@ def test_a_machine_that_was_silent_is_asked_again_and_its_late_answer_dropped(
     spin_until: Callable[..., None],
     tmp_path: Path,
 ) -> None:
-    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), RESULT.NONE, ""))
+    machine = toy_machine(node)
     tuner = start_tuner("machine_timeout:=1.0", "machine_return_timeout:=20.0")
     machine.silent = True
     client.send(Tune.Goal(run_id="slow", evaluations=3))
@@ -157,13 +158,12 @@ def test_a_machine_that_does_not_return_in_time_ends_the_run(
     node: Node,
     spin_until: Callable[..., None],
 ) -> None:
-    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), RESULT.NONE, ""))
+    machine = toy_machine(node)
     start_tuner("machine_timeout:=1.0", "machine_return_timeout:=1.5")
     machine.held = True
     client.send(Tune.Goal(evaluations=5))
     spin_until(lambda: machine.goals, "an evaluation")
     machine.close()
-    machine.silent = True
     result = client.wait()
     assert result.error_code == Tune.Result.MACHINE_LOST
     assert "silent for 1.0 s, and did not return within 1.5 s" in result.error_msg
@@ -175,12 +175,12 @@ def test_a_machine_that_returns_may_take_its_time_to_be_ready(
     node: Node,
     spin_until: Callable[..., None],
 ) -> None:
-    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), RESULT.NONE, ""))
+    machine = toy_machine(node)
     codes = [RESULT.MACHINE_LOST, *[RESULT.NOT_ACTIVE] * 3, *[RESULT.BUSY] * 3]
 
-    def answer(goal: EvaluateSetpoint.Goal) -> tuple[dict[str, float], int, str]:
+    def answer(goal: EvaluateSetpoint.Goal) -> Answer:
         code = codes.pop(0) if codes else RESULT.NONE
-        return toy_values(goal), code, "not yet" if code else ""
+        return Answer(toy_values(goal), code, "not yet" if code else "")
 
     machine.answer = answer
     start_tuner("retry_delay:=0.1", "max_attempts:=2", "machine_return_timeout:=30.0")

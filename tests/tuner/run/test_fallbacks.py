@@ -18,10 +18,9 @@ from tests.support.tuner import (
     CONFIG,
     GoalClient,
     Listener,
-    ScriptedMachine,
     Services,
     journal,
-    toy_values,
+    toy_machine,
 )
 
 RESULT = EvaluateSetpoint.Result
@@ -209,7 +208,7 @@ def test_one_violating_shot_ends_the_evaluation_and_pauses_the_run(
 def test_a_machine_that_cannot_say_where_it_is_cannot_be_restored(
     start_tuner: Callable[..., NodeProcess], client: GoalClient, node: Node, event: str
 ) -> None:
-    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), RESULT.NONE, ""))
+    machine = toy_machine(node)
     start_tuner(f"{event}:=restore")
     client.send(Tune.Goal(evaluations=5))
     result = client.wait()
@@ -226,7 +225,7 @@ def test_goals_tell_the_machine_what_to_do_without_the_tuner(
     client: GoalClient,
     node: Node,
 ) -> None:
-    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), RESULT.NONE, ""))
+    machine = toy_machine(node)
     start_tuner("on_client_lost:=best", "client_timeout:=7.5", "initial_evaluations:=6")
     client.send(Tune.Goal(evaluations=6))
     assert client.wait().error_code == 0

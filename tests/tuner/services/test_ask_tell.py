@@ -20,9 +20,9 @@ from tests.support.tuner import (
     CONFIG,
     GoalClient,
     Listener,
-    ScriptedMachine,
     Services,
     journal,
+    toy_machine,
     toy_values,
 )
 
@@ -186,7 +186,7 @@ def test_runs_and_loops_do_not_mix_and_changes_reach_both(
     spin_until: Callable[..., None],
     tmp_path: Path,
 ) -> None:
-    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), 0, ""))
+    machine = toy_machine(node)
     evaluations = Listener(node, msg.Evaluation, "evaluation", STREAM)
     tuner = start_tuner("initial_evaluations:=4")
     spin_until(lambda: node.get_publishers_info_by_topic("/evaluation"), "the tuner's topic")

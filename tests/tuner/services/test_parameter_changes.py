@@ -17,10 +17,9 @@ from tests.support.tuner import (
     CONFIG,
     GoalClient,
     Listener,
-    ScriptedMachine,
     Services,
     journal,
-    toy_values,
+    toy_machine,
 )
 
 NONE = EvaluateSetpoint.Result.NONE
@@ -44,7 +43,7 @@ def test_a_change_holds_from_the_next_evaluation_on(
     spin_until: Callable[..., None],
     tmp_path: Path,
 ) -> None:
-    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), NONE, ""))
+    machine = toy_machine(node)
     problems = Listener(node, msg.Problem, "problem", LATCHED)
     statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
     start_tuner("initial_evaluations:=4", "evaluations:=7")
@@ -101,7 +100,7 @@ def test_costs_shorten_the_steps_of_a_run_that_goes_on(
     spin_until: Callable[..., None],
     tmp_path: Path,
 ) -> None:
-    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), NONE, ""))
+    machine = toy_machine(node)
     start_tuner("initial_evaluations:=6", "proximal:=true")
     machine.held = True
     client.send(Tune.Goal(run_id="short", evaluations=12))
@@ -126,7 +125,7 @@ def test_what_cannot_be_meant_is_refused_as_a_whole_with_one_sentence(
     spin_until: Callable[..., None],
     tmp_path: Path,
 ) -> None:
-    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), NONE, ""))
+    machine = toy_machine(node)
     start_tuner("initial_evaluations:=4")
     machine.held = True
     client.send(Tune.Goal(run_id="same", evaluations=5))
@@ -181,7 +180,7 @@ def test_constraints_change_and_without_a_run_it_is_for_those_to_come(
             "    # constraints:\n    #   g: {max: 0.5}", "    constraints: {f1: {max: 3.0}}"
         )
     )
-    machine = ScriptedMachine(node, lambda goal: (toy_values(goal), NONE, ""))
+    machine = toy_machine(node)
     start_tuner("initial_evaluations:=8", config=config)
     result = services.set(constraints__f1__max=2.5, evaluations=9)
     assert result.successful, result.reason

@@ -18,10 +18,9 @@ from tests.support.processes import NodeProcess
 from tests.support.tuner import (
     GoalClient,
     Listener,
-    ScriptedMachine,
     Services,
     journal,
-    toy_values,
+    toy_machine,
 )
 
 RESULT = EvaluateSetpoint.Result
@@ -39,7 +38,7 @@ class Desk:
         services: Services,
         spin_until: Callable[..., None],
     ) -> None:
-        self.machine = ScriptedMachine(node, lambda goal: (toy_values(goal), RESULT.NONE, ""))
+        self.machine = toy_machine(node)
         self.statuses = Listener(node, State, "status", LATCHED)
         self.client = client
         self.services = services

@@ -67,7 +67,7 @@ class BridgeBackend(RampedBackend):
         """Return why the readback of a variable is unknown."""
         return self._readbacks[name].problem
 
-    def interlock(self) -> Failure | None:
+    def forbidden(self) -> Failure | None:
         """Return which interlock forbids to move, or is unknown."""
         for name, signal in self._interlocks.items():
             if signal.problem:

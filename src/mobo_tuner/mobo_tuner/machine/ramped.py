@@ -78,7 +78,7 @@ class RampedBackend(MachineBackend):
         """Return why the readback of a variable is unknown, or an empty string; optional."""
         return "" if math.isfinite(self.position(name)) else "it gave no value yet"
 
-    def interlock(self) -> Failure | None:
+    def forbidden(self) -> Failure | None:
         """Return why nothing may move or be measured, or None; optional. Called often."""
         return None
 
@@ -298,9 +298,9 @@ class RampedBackend(MachineBackend):
 
     def _trouble(self) -> Failure | None:
         """Return what must end a move or a measurement at once, or None."""
-        interlock = self.interlock()
-        if interlock is not None:
-            return interlock
+        forbidden = self.forbidden()
+        if forbidden is not None:
+            return forbidden
         for name in self.ramped:
             problem = self.readback_problem(name)
             if problem:

@@ -179,7 +179,13 @@ class MachineServer:
 
     def _refusal(self) -> Failure | None:
         """Return why the machine must not be moved now, or None."""
-        return self._stopped or (_BUSY if self.busy else None) or self._backend.refusal()
+        if self._stopped or self.busy:
+            return self._stopped or _BUSY
+        return self._inactive() or self._backend.refusal()
+
+    def _inactive(self) -> Failure | None:
+        reason = self._backend.inactive
+        return Failure(_Result.NOT_ACTIVE, f"{reason}; nothing may move") if reason else None
 
     def _outdated(self, request: EvaluateSetpoint.Goal) -> Failure | None:
         message = self._finished.refusal(request.run_id, request.index, request.attempt)
@@ -228,7 +234,7 @@ class MachineServer:
             self._watch.end()
         if not setpoint:
             return Failure(failure.code, f"{failure.message}; the machine holds where it is")
-        refused = self._stopped or self._backend.refusal()
+        refused = self._stopped or self._inactive() or self._backend.refusal()
         if refused is None:
             refused = await self._move(setpoint, self._begin(self._goal))
         outcome = "the machine went to the set-point given for that"

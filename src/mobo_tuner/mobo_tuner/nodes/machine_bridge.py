@@ -1,4 +1,4 @@
-"""The bridge: serves `EvaluateSetpoint` for controls that know none of our types, by a mapping file."""
+"""The bridge: serves the machine that a mapping file describes, for controls that know none of our types."""
 
 from __future__ import annotations
 
@@ -10,50 +10,27 @@ from rclpy.node import Node
 from mobo_tuner.bridge.backend import BridgeBackend
 from mobo_tuner.bridge.describe import MACHINE_BRIDGE, mapping_file
 from mobo_tuner.bridge.mapping import load_mapping
-from mobo_tuner.machine.server import MachineServer
+from mobo_tuner.machine.node import serve
 from mobo_tuner.ros.parameters import declare
-from mobo_tuner.ros.process import StartError, exit_process, run_node
+from mobo_tuner.ros.process import StartError
 
 
-class MachineBridge:
-    """Serves the machine that a mapping file describes.
+def create(node: Node, executor: Executor) -> BridgeBackend:
+    """Return the machine that the mapping file describes.
 
     Raises:
-        ValueError: a parameter is not allowed, or the mapping is not; nothing was sent.
-        StartError: no mapping is named.
+        ValueError: If a parameter or the mapping is not allowed; nothing was sent.
+        StartError: If no mapping is named.
     """
-
-    exit_code = None
-
-    def __init__(self, executor: Executor) -> None:
-        self.node = Node("machine_bridge")
-        try:
-            path = str(declare(self.node, MACHINE_BRIDGE)["mapping"])
-            if not path:
-                raise StartError("the parameter mapping is empty; it must name the mapping file")
-            mapping = load_mapping(mapping_file(path, sys.argv))
-            backend = BridgeBackend(self.node, mapping, executor)
-        except (StartError, ValueError):
-            self.node.destroy_node()
-            raise
-        self._server = MachineServer(self.node, backend, executor)
-        self.node.get_logger().info(
-            f"{backend.name}: ready with {len(backend.variables)} variables and "
-            f"{len(backend.diagnostics)} diagnostics"
-        )
-
-    async def stop(self) -> None:
-        """Stop whatever moves, where it is."""
-        await self._server.stop()
-
-    def close(self) -> None:
-        """Release the node."""
-        self.node.destroy_node()
+    path = str(declare(node, MACHINE_BRIDGE)["mapping"])
+    if not path:
+        raise StartError("the parameter mapping is empty; it must name the mapping file")
+    return BridgeBackend(node, load_mapping(mapping_file(path, sys.argv)), executor)
 
 
 def main() -> None:
     """Run the bridge until a signal stops it."""
-    exit_process(run_node(MachineBridge))
+    serve(create, "machine_bridge")
 
 
 if __name__ == "__main__":

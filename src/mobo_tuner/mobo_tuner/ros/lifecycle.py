@@ -1,16 +1,18 @@
-"""A lifecycle node that outlives whatever transition it is asked for."""
+"""Lifecycle nodes that survive a transition that their state does not allow."""
 
 from __future__ import annotations
 
 from lifecycle_msgs.srv import ChangeState
-from rclpy._rclpy_pybind11 import RCLError
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode
 
 
 def refuse_unknown_transitions(node: LifecycleNode) -> None:
-    """Have `change_state` answer that a transition failed where the node's state does not know it.
+    """Make `change_state` answer that a transition failed if the node's state does not allow it.
 
-    rclpy raises an error in the service's callback instead, which ends the node's process.
+    rclpy raises an error in the service's callback instead, which ends the node's process. Neither
+    the error's class nor the service is part of rclpy's documented interface: if either changes,
+    `tests/ros/test_lifecycle.py` fails.
     """
     service = next(s for s in node.services if s.srv_type is ChangeState)
     change_state = service.callback
@@ -20,9 +22,9 @@ def refuse_unknown_transitions(node: LifecycleNode) -> None:
     ) -> ChangeState.Response:
         try:
             return change_state(request, response)
-        except RCLError:
-            asked = request.transition.label or request.transition.id
-            node.get_logger().warning(f"the transition {asked} is not possible in this state")
+        except rclpy_implementation.RCLError:
+            transition = request.transition.label or request.transition.id
+            node.get_logger().warning(f"the transition {transition} is not possible in this state")
             response.success = False
             return response
 

@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from types import FrameType
-from typing import Protocol
+from typing import NoReturn, Protocol
 
 import rclpy
 from rclpy.exceptions import ROSInterruptException
@@ -92,7 +92,7 @@ def run_node(create: Callable[[Executor], ManagedNode], args: Sequence[str] | No
         rclpy.try_shutdown()
 
 
-def exit_process(status: int) -> None:
+def exit_process(status: int) -> NoReturn:
     """End the process now; threads that still compute are not waited for."""
     sys.stdout.flush()
     sys.stderr.flush()
