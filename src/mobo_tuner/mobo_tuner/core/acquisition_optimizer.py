@@ -70,7 +70,7 @@ class Maximizer(ABC):
         *,
         starts: ArrayLike | None = None,
         excluded: ArrayLike | None = None,
-        tolerance: float = 1e-6,
+        tolerance: ArrayLike = 1e-6,
         seconds: float | None = None,
     ) -> Maximum | None:
         """Look for the largest value of an acquisition function.
@@ -82,8 +82,8 @@ class Maximizer(ABC):
                 budget cuts the search short.
             starts: `(k, d)` promising points, such as the set-points of the Pareto front.
             excluded: `(k, d)` points that must not be proposed, such as failed evaluations.
-            tolerance: largest difference in any variable to an excluded point that still counts as
-                the same point; variables span 2.
+            tolerance: largest difference to an excluded point that still counts as the same point,
+                in any variable or, `(k, d)`, in each for each point; variables span 2.
             seconds: time budget [s], None for no limit. The first few points are evaluated whatever
                 it is.
 
@@ -283,19 +283,19 @@ class Search:
         acquisition: AcquisitionFunction,
         n_variables: int,
         excluded: ArrayLike | None,
-        tolerance: float,
+        tolerance: ArrayLike,
         seconds: float | None,
     ) -> None:
         if n_variables < 1:
             raise ValueError(f"n_variables must be at least 1, not {n_variables}")
-        if not tolerance >= 0.0:
+        if not (np.asarray(tolerance) >= 0.0).all():
             raise ValueError(f"tolerance must be at least 0, not {tolerance}")
         if seconds is not None and not seconds >= 0.0:
             raise ValueError(f"seconds must be at least 0 or None, not {seconds}")
         self.n_variables = n_variables
         self._acquisition = acquisition
         self._excluded = _as_rows(excluded, "excluded", n_variables)
-        self._tolerance = tolerance
+        self._reach = np.broadcast_to(np.asarray(tolerance), self._excluded.shape)
         self._deadline = math.inf if seconds is None else time.monotonic() + seconds
         self._started = False
         self._best: FloatArray | None = None
@@ -335,8 +335,8 @@ class Search:
     def _allow(self, x: FloatArray, value: FloatArray) -> FloatArray:
         """Rule out excluded points and values that are no number, and note the best."""
         allowed = np.where(np.isnan(value), -np.inf, value)
-        for point in self._excluded:
-            allowed[(np.abs(x - point) <= self._tolerance).all(axis=1)] = -np.inf
+        for point, reach in zip(self._excluded, self._reach, strict=True):
+            allowed[(np.abs(x - point) <= reach).all(axis=1)] = -np.inf
         i = int(allowed.argmax())
         if allowed[i] > self._best_value:
             self._best, self._best_value = x[i].copy(), float(allowed[i])

@@ -74,6 +74,7 @@ class Dataset:
         self.problem = problem
         self.evaluations: list[Evaluation] = []
         self._inputs: list[Array] = []
+        self._targets: list[Array] = []
 
     def __len__(self) -> int:
         return len(self.evaluations)
@@ -100,7 +101,8 @@ class Dataset:
             ProblemError: If the set-point is not one of the problem's, a readback is of none of its
                 variables, or an output is not a number.
         """
-        x, known = self._location(setpoint, readbacks)
+        target = self.problem.normalize(setpoint)
+        x, known = self._location(target, readbacks)
         if not isinstance(outputs, Mapping):
             raise ProblemError(f"the outputs must be a mapping of names, not {outputs!r:.60}")
         measured = {name: self._measured(name, value) for name, value in outputs.items()}
@@ -125,6 +127,7 @@ class Dataset:
         )
         self.evaluations.append(evaluation)
         self._inputs.append(x)
+        self._targets.append(target)
         return evaluation
 
     def forget(self, index: int, name: str | None = None) -> None:
@@ -185,10 +188,10 @@ class Dataset:
         return replace(evaluation, complete=complete, feasible=feasible)
 
     def _location(
-        self, setpoint: Mapping[str, float], readbacks: Mapping[str, float]
+        self, target: Array, readbacks: Mapping[str, float]
     ) -> tuple[Array, dict[str, float]]:
-        """Where the machine was, normalised, and the readbacks that are known."""
-        x = self.problem.normalize(setpoint)
+        """Return where the machine was, normalised, and the readbacks that are known."""
+        x = target.copy()
         if not isinstance(readbacks, Mapping):
             raise ProblemError(f"the readbacks must be a mapping of names, not {readbacks!r:.60}")
         known = {}
@@ -226,6 +229,11 @@ class Dataset:
     def inputs(self) -> Array:
         """Where all evaluations were, normalised, shape ``(n, d)``: readbacks, or set-points."""
         return np.array(self._inputs).reshape(len(self), len(self.problem.variables))
+
+    @property
+    def targets(self) -> Array:
+        """The set-points of all evaluations, normalised, shape ``(n, d)``."""
+        return np.array(self._targets).reshape(len(self), len(self.problem.variables))
 
     @property
     def failed(self) -> BoolArray:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
 from mobo_tuner.core.kernels import Kernel, as_inputs
 from mobo_tuner.core.linear_algebra import FloatArray, single_blas_thread
-from mobo_tuner.core.output_scaling import OutputScaling
+from mobo_tuner.core.output_scaling import OutputScaling, is_constant
 from mobo_tuner.core.posterior import Posterior
 from mobo_tuner.core.training import train
 
@@ -291,6 +291,38 @@ class GaussianProcess:
         model = self._fitted.model
         return float(np.exp(0.5 * model.parameters[-1])) * model.scaling.scale
 
+    @property
+    def range(self) -> tuple[float, float]:
+        """Least and greatest output."""
+        y = self._fitted.y
+        return float(y.min()), float(y.max())
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether all outputs are alike, to rounding."""
+        return is_constant(self._fitted.y)
+
+    @property
+    def skill(self) -> float:
+        """Share of the outputs' variance that is explained by predicting each from all others."""
+        residual = self.leave_one_out().residual
+        return 1.0 - float(np.mean(residual**2) / np.var(self._fitted.y))
+
+    @property
+    def spread(self) -> float:
+        """Half the range of the middle 68 % of the outputs; their standard deviation where it is 0."""
+        y = self._fitted.y
+        low, high = np.quantile(y, [0.16, 0.84])
+        return 0.5 * float(high - low) or float(np.std(y))
+
+    def noise_at(self, x: FloatArray) -> float:
+        """Standard deviation of one observation near x `(d,)`: learned, and known at the nearest one."""
+        model, posterior, _, stddev = self._fitted
+        nearest = int(np.square(posterior.x - x).sum(axis=1).argmin())
+        fixed = 0.0 if isinstance(self.settings.noise, str) else self.settings.noise
+        learned = 0.0 if model.scaling.log else self.noise
+        return float(np.sqrt(learned**2 + stddev[nearest] ** 2 + fixed**2))
+
     # State.
 
     def get_state(self) -> dict[str, Any]:
@@ -408,9 +440,9 @@ class GaussianProcess:
             return [("function", scaling)]
         offsets: dict[str, float | None]
         if settings.mean == "auto":
-            offsets = (
-                {"data": None} if reference is None else {"data": None, "reference": reference}
-            )
+            offsets = {"data": None}
+            if reference is not None and not (len(y) > 1 and is_constant(y)):
+                offsets["reference"] = reference
         elif isinstance(settings.mean, str):
             offsets = {settings.mean: None if settings.mean == "data" else reference}
         else:

@@ -17,6 +17,9 @@ from mobo_tuner.core.problem import LARGEST, Array, Problem, ProblemError
 from mobo_tuner.core.settings import OptimizerSettings
 from mobo_tuner.core.validity import ValidityModel
 
+_NEWS = 1e-3  # of the readings' spread
+_NEWS_OF_NOISE = 0.3  # of the noise: about that of ten readings' average
+
 PriorMean = Callable[[Mapping[str, Array]], Array]
 """Predicts one quantity in its own unit, shape ``(n,)``, from one array ``(n,)`` per variable."""
 
@@ -114,6 +117,25 @@ class Models:
     def objectives(self) -> list[GaussianProcess]:
         """Models of the minimised objectives, in the problem's order."""
         return [self._processes[name] for name in self._problem.objective_names]
+
+    def expects_news(self, x: Array, nearest: Array, noisy: bool) -> bool:
+        """Return whether some output may read differently at x than at a measured point.
+
+        Args:
+            x: Point ``(d,)``.
+            nearest: Measured point ``(d,)`` near it.
+            noisy: Whether the noise is real: then news are also a better average.
+        """
+        for process in self._processes.values():
+            if not process.n:
+                continue
+            mean, stddev = process.predict(np.vstack([x, nearest]))
+            least = _NEWS * process.spread
+            if abs(mean[0] - mean[1]) > least:
+                return True
+            if stddev[0] > (max(least, _NEWS_OF_NOISE * process.noise_at(x)) if noisy else least):
+                return True
+        return False
 
     @property
     def limited(self) -> list[tuple[str, GaussianProcess, float, float]]:

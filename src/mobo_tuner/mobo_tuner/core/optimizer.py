@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from scipy.stats import qmc
+from numpy.typing import ArrayLike
 
 from mobo_tuner.core.acquisition import (
     ACQUISITION_FUNCTIONS,
@@ -27,7 +27,9 @@ from mobo_tuner.core.belief import Belief, believe, is_certain
 from mobo_tuner.core.belief import measured as _measured
 from mobo_tuner.core.constraints import ProbabilityOfFeasibility, ValidityWeight
 from mobo_tuner.core.dataset import BoolArray, Dataset, Evaluation, Measured
+from mobo_tuner.core.exploration import explore
 from mobo_tuner.core.focus import around, choose_on_front
+from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.hypervolume import BoxDecomposition, hypervolume
 from mobo_tuner.core.initial_design import initial_design
 from mobo_tuner.core.linear_algebra import single_blas_thread
@@ -35,6 +37,7 @@ from mobo_tuner.core.models import Models, PriorMean
 from mobo_tuner.core.predicted_front import predict_front
 from mobo_tuner.core.problem import Array, Problem, ProblemError, as_float
 from mobo_tuner.core.proximal import ProximalBiasing
+from mobo_tuner.core.resolution import Taken, readings_differ, taken
 from mobo_tuner.core.scalarisation import WeightedSum
 from mobo_tuner.core.settings import make_settings
 from mobo_tuner.errors import UserError
@@ -44,7 +47,10 @@ Source = Literal["initial", "model"]
 STATE_VERSION = 2
 # A failed set-point is not proposed again within 1 % of every variable's range.
 FAILED_TOLERANCE = 0.02
-_EXPLORED = 1024  # quasi-random points among which exploration chooses
+# A set-point within 0.05 % of every variable's range of a measured one must promise something new.
+_NEAR = 1e-3
+_ALIKE = 0.05  # range of a constraint's readings, as a share of what they lack
+_SKILL = 0.5  # least share of their variance that a model must explain to be followed
 
 
 class Optimizer:
@@ -486,44 +492,120 @@ class Optimizer:
             len(self.problem.variables),
             self.seed,
         )
-        return np.asarray(design[index])
+        point: Array = np.asarray(design[index])
+        used = taken(self.dataset)
+        if used.contains(point[None])[0] and not self._is_noisy():
+            rng = np.random.default_rng([self.seed, 4, index])
+            return explore(self.dataset.inputs, used, rng)
+        return point
 
     def _candidate(self) -> Array:
         """The maximum of the acquisition function, shape ``(d,)``; exploration where it is zero."""
         self._update_models()
-        d = len(self.problem.variables)
         rng = np.random.default_rng([self.seed, 2, len(self.dataset)])
-        inputs = self.dataset.inputs
-        if self._models.ready:
-            maximum = self.settings.make_maximizer().maximize(
-                self._acquisition_function(),
-                d,
-                rng,
-                starts=inputs[self._believed().front_rows()],
-                excluded=inputs[self.dataset.failed],
-                tolerance=FAILED_TOLERANCE,
-                seconds=self.settings.suggestion_seconds,
-            )
-            if maximum is not None:
-                return maximum.x
-        return _farthest(inputs, d, rng)
+        inputs, failed = self.dataset.inputs, self.dataset.failed
+        if not self._models.ready:
+            return explore(inputs, taken(self.dataset), rng)
+        acquisition = self._acquisition_function()
+        if acquisition is None:
+            return self._explored(rng)
+        found = self._maximum(acquisition, rng, inputs[failed], FAILED_TOLERANCE)
+        if found is None:
+            return self._explored(rng)
+        used = taken(self.dataset)
+        if self._pays(found, used):
+            return found
+        # The machine was there: the best elsewhere, or else what is known least.
+        centers = np.vstack([inputs[failed], used.centers])
+        reach = np.vstack([np.full(inputs[failed].shape, FAILED_TOLERANCE), used.reach])
+        other = self._maximum(acquisition, rng, centers, reach)
+        if other is not None and self._pays(other, used):
+            return other
+        return self._explored(rng)
 
-    def _acquisition_function(self) -> AcquisitionFunction:
-        """The acquisition function over all that was told, times its factors."""
-        factors: list[AcquisitionFunction] = [
-            ProbabilityOfFeasibility(model, lower, upper)
-            for model, lower, upper in self._models.constraints
-        ]
-        # Without a feasible point there is no front to improve: feasibility comes first.
+    def _maximum(
+        self,
+        acquisition: AcquisitionFunction,
+        rng: np.random.Generator,
+        excluded: Array,
+        tolerance: ArrayLike,
+    ) -> Array | None:
+        """Return where the acquisition function is largest ``(d,)``; None if it is zero everywhere."""
+        maximum = self.settings.make_maximizer().maximize(
+            acquisition,
+            len(self.problem.variables),
+            rng,
+            starts=self.dataset.inputs[self._believed().front_rows()],
+            excluded=excluded,
+            tolerance=tolerance,
+            seconds=self.settings.suggestion_seconds,
+        )
+        return None if maximum is None else maximum.x
+
+    def _pays(self, x: Array, used: Taken) -> bool:
+        """Return whether measuring at x ``(d,)`` may say anything that is not known."""
+        known = self.dataset.inputs[self.dataset.complete & self.dataset.valid]
+        if len(known) == 0:
+            return True
+        distances = np.abs(known - x).max(axis=1)
+        nearest = int(distances.argmin())
+        again = bool(used.contains(x[None])[0])
+        if not again and distances[nearest] > _NEAR:
+            return True
+        noisy = self._is_noisy()
+        if again and not noisy:
+            return False
+        return self._models.expects_news(x, known[nearest], noisy)
+
+    def _is_noisy(self) -> bool:
+        """Return whether the readings are known to be noisy: by what was told, or by repetitions."""
+        noise = self.settings.noise
+        if not isinstance(noise, str) and noise > 0.0:
+            return True
+        names = self.problem.objective_names
+        if any((self.dataset.stddev_column(name) > 0.0).any() for name in names):
+            return True
+        return readings_differ(self.dataset)
+
+    def _explored(self, rng: np.random.Generator) -> Array:
+        """Return a point far from all evaluations that may be feasible and valid, shape ``(d,)``."""
+        factors = self._factors(informed=True)
+        weight = reduce(mul, factors).log_value if factors else None
+        return explore(self.dataset.inputs, taken(self.dataset), rng, weight)
+
+    def _acquisition_function(self) -> AcquisitionFunction | None:
+        """Return the acquisition function over all that was told, times its factors.
+
+        None where the readings say nothing of where it is large: all objectives read alike, or a
+        constraint that was never met did.
+        """
         known = self._models.known
-        if known.any() and (not factors or self._believed().feasible.any()):
-            factors.insert(0, self._improvement(known))
+        limits = self._models.constraints
+        factors = self._factors()
+        # Without a feasible point there is no front to improve: feasibility comes first.
+        if limits and not (known.any() and self._believed().feasible.any()):
+            return reduce(mul, factors) if all(map(_is_informed, limits)) else None
+        if all(m.is_constant for m in self._models.objectives if m.n):
+            return None
+        return reduce(mul, [self._improvement(known), *factors])
+
+    def _factors(self, informed: bool = False) -> list[AcquisitionFunction]:
+        """Return what the improvement is multiplied by.
+
+        Args:
+            informed: Whether to leave out constraints whose readings do not say where they are met.
+        """
+        factors: list[AcquisitionFunction] = [
+            ProbabilityOfFeasibility(*limit)
+            for limit in self._models.constraints
+            if not informed or _is_informed(limit)
+        ]
         if self.dataset.failed.any():
             factors.append(ValidityWeight(self._models.validity))
         precision = self.settings.proximal_precision(self.problem)
         if precision is not None:
             factors.append(ProximalBiasing(self.dataset.inputs[-1], precision))
-        return reduce(mul, factors)
+        return factors
 
     def _improvement(self, known: BoolArray) -> AcquisitionFunction:
         """Return the acquisition function of the objectives that were measured at least once."""
@@ -572,10 +654,14 @@ class Optimizer:
         return self._boxes
 
 
-def _farthest(inputs: Array, d: int, rng: np.random.Generator) -> Array:
-    """The quasi-random point farthest from all `inputs` ``(n, d)``, shape ``(d,)``."""
-    points: Array = 2.0 * qmc.Sobol(d, rng=rng).random(_EXPLORED) - 1.0
-    nearest = np.full(len(points), np.inf)
-    for row in inputs:
-        nearest = np.minimum(nearest, np.square(points - row).sum(axis=1))
-    return np.asarray(points[nearest.argmax()])
+def _is_informed(limit: tuple[GaussianProcess, float, float]) -> bool:
+    """Return whether the readings of a constraint say anything of where it is met.
+
+    They do not where none met it and all are alike, compared with what they lack, but for noise.
+    """
+    model, lower, upper = limit
+    least, most = model.range
+    lack = max(lower - most, least - upper)
+    if lack <= 0.0 or most - least > _ALIKE * lack:
+        return True
+    return not model.is_constant and model.skill > _SKILL

@@ -16,6 +16,11 @@ _SMALLEST_SCALE = 1e-150
 _LARGEST_VARIANCE = 1e100
 
 
+def is_constant(y: FloatArray) -> bool:
+    """Return whether all outputs `(n,)` are the same, to rounding."""
+    return bool(np.ptp(y) <= _ROUNDING * np.abs(y).max())
+
+
 @dataclass(frozen=True)
 class OutputScaling:
     """`z = (t(y) - m(x)) / scale`, with t the identity or the logarithm and m the prior mean.

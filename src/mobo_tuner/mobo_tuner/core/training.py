@@ -257,8 +257,11 @@ def train(
     default = objective.default_parameters()
     start = default if former is None else former
     start = np.where(free, np.clip(start, bounds[:, 0], bounds[:, 1]), held)
-    if len(z) < 2 or not z.any() or not free.any():
+    if len(z) < 2 or not free.any():
         return start
+    if not z.any():
+        # Alike so far: nothing says how far the function varies, so that its scale stays one.
+        return np.where(free, np.append(default[:-2], [0.0, bounds[-1, 0]]), held)
     if settings.training == "adam":
         steps = settings.adam_steps if former is None else settings.adam_retraining_steps
         return train_adam(objective, start, bounds, free, settings.adam_rate, steps)[0]

@@ -1,0 +1,51 @@
+"""Exploration: where to measure when the models have nothing to say, or nothing new.
+
+Space is filled: the next set-point is the one farthest from all evaluations and from the bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.spatial.distance import cdist
+from scipy.stats import qmc
+
+from mobo_tuner.core.problem import Array
+from mobo_tuner.core.resolution import Taken
+
+_POINTS = 1024
+_TO_IMAGE = 2.0  # what lies beyond a bound is the mirror image of what lies inside
+
+
+def explore(
+    inputs: Array,
+    taken: Taken,
+    rng: np.random.Generator,
+    log_weight: Callable[[Array], Array] | None = None,
+) -> Array:
+    """Return the quasi-random point that is farthest from all inputs, shape ``(d,)``.
+
+    A bound is a mirror: a point counts as twice as far from its own image as from the bound. Without
+    it the corners come first, of which there are many and which stand for little of the space.
+
+    Args:
+        inputs: Where the machine was, ``(n, d)``.
+        taken: What must not be proposed, unless there is nothing else.
+        rng: Random number generator.
+        log_weight: Logarithm of a weight of the distance at points ``(m, d)``, shape ``(m,)``.
+    """
+    d = inputs.shape[1]
+    points: Array = 2.0 * qmc.Sobol(d, rng=rng).random(_POINTS) - 1.0
+    nearest = _TO_IMAGE * (1.0 - np.abs(points)).min(axis=1)
+    if len(inputs):
+        nearest = np.minimum(nearest, cdist(points, inputs).min(axis=1))
+    with np.errstate(divide="ignore"):
+        score = np.log(nearest)
+    if log_weight is not None:
+        weight = log_weight(points)
+        score += np.where(np.isnan(weight), -np.inf, weight)
+    free = ~taken.contains(points)
+    if free.any():
+        score[~free] = -np.inf
+    return np.asarray(points[score.argmax()])
