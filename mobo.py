@@ -11,6 +11,9 @@
     python3 mobo.py rebuild BAG  rebuild a run from its bag alone
     python3 mobo.py replay RUN   ask for every suggestion again, and compare
 
+While a run is going on, or a tuner's nodes are: status, watch, pause, continue, step, skip, stop,
+cancel, queue NAME=NUMBER ..., set NAME=VALUE ..., points, go INDEX.
+
 It needs nothing but Python 3.11, 3.12 or 3.13 on Linux and a C and C++ compiler; the rest goes to
 `.venv` beside this file.
 """
@@ -29,8 +32,8 @@ if not (3, 11) <= sys.version_info[:2] <= (3, 13) or sys.platform != "linux":
         f"this is Python {sys.version.split()[0]} on {sys.platform}"
     )
 
-from launcher import run, verbs
-from launcher.command_line import make_parser
+from launcher import run, steering, verbs
+from launcher.command_line import STEERING, make_parser
 from launcher.errors import LauncherError
 from launcher.processes import Interrupted
 
@@ -52,6 +55,8 @@ def main(arguments: list[str]) -> int:
     try:
         if arguments[:1] == ["test"]:
             return verbs.test(ROOT, arguments[1:])
+        if arguments and arguments[0] in STEERING:
+            steering.steer(ROOT, arguments)
         options = make_parser(__doc__ or "", ROOT, VERBS).parse_args(arguments)
         options.act(options)
     except (LauncherError, Interrupted) as error:

@@ -18,11 +18,26 @@ MAX_EVALUATIONS = 100_000
 MAX_SEED = 2**31 - 1
 MIN_SPEED, MAX_SPEED = 1e-3, 1e6
 RUN_HELP = "run id, or path of a run folder"
+STEERING = {
+    "status": "say what the tuner is doing",
+    "watch": "show a run that is going on",
+    "pause": "pause the run before its next evaluation",
+    "continue": "let a paused run continue",
+    "step": "make one more evaluation, then pause",
+    "skip": "end the evaluation in flight, which counts as failed",
+    "stop": "end the run after the evaluation in flight",
+    "cancel": "cancel the run or the move that is going on",
+    "queue": "have a set-point evaluated next",
+    "set": "change bounds, limits, goals, costs or the budget",
+    "points": "list the Pareto front of a run",
+    "go": "go to a point of a Pareto front",
+}
+"""Verbs that concern a running tuner, whose arguments go to a program of their own."""
 
 Act = Callable[[argparse.Namespace], None]
 
 
-class _Parser(argparse.ArgumentParser):
+class Parser(argparse.ArgumentParser):
     """A parser whose complaints are one sentence."""
 
     def error(self, message: str) -> NoReturn:
@@ -70,7 +85,7 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
         root: Folder of the project; verbs find it as the option `root`.
         verbs: Function of each verb.
     """
-    parser = _Parser(
+    parser = Parser(
         prog="mobo.py",
         description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -78,11 +93,9 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
     )
     subparsers = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
 
-    def add(name: str, what: str) -> _Parser:
+    def add(name: str, what: str) -> Parser:
         verb = subparsers.add_parser(name, help=what, description=what, allow_abbrev=False)
-        folder = root / "runs"
-        what = "where runs are kept (default: runs, beside mobo.py)"
-        verb.add_argument("--runs-dir", metavar="DIR", type=Path, default=folder, help=what)
+        add_runs_dir(verb, root)
         verb.set_defaults(act=verbs[name], root=root)
         return verb
 
@@ -116,6 +129,8 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
     check.add_argument("config", metavar="FILE", type=Path, help="ROS parameter file")
     _add_machine(check, "none")
 
+    for name, what in STEERING.items():
+        subparsers.add_parser(name, help=what)
     subparsers.add_parser("test", help="set up and run the tests; arguments go to pytest")
     add("list", "list the runs")
     add("show", "show what came out of a run").add_argument("run", metavar="RUN", help=RUN_HELP)
@@ -150,6 +165,27 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
     return parser
 
 
+def add_runs_dir(verb: argparse.ArgumentParser, root: Path) -> None:
+    """Add the option that says where runs are kept."""
+    verb.add_argument(
+        "--runs-dir",
+        metavar="DIR",
+        type=Path,
+        default=root / "runs",
+        help="where runs are kept (default: runs, beside mobo.py)",
+    )
+
+
+def add_domain_id(verb: argparse.ArgumentParser, default: str) -> None:
+    """Add the option that names a ROS domain."""
+    verb.add_argument(
+        "--domain-id",
+        metavar="N",
+        type=_whole(0, LAST_DOMAIN),
+        help=f"ROS domain (default: {default})",
+    )
+
+
 def _add_machine(verb: argparse.ArgumentParser, default: str) -> None:
     verb.add_argument(
         "--machine",
@@ -168,13 +204,7 @@ def _add_surroundings(verb: argparse.ArgumentParser, speed: str) -> None:
         type=_speed,
         help=f"simulated seconds per second of the simulated machine (default: {speed})",
     )
-    verb.add_argument(
-        "--domain-id",
-        metavar="N",
-        type=_whole(0, LAST_DOMAIN),
-        help="ROS domain (default: one that is free; where the machine is there already, "
-        "ROS_DOMAIN_ID, or 0)",
-    )
+    add_domain_id(verb, "one that is free; where the machine is there already, ROS_DOMAIN_ID, or 0")
     verb.add_argument(
         "--network",
         action="store_true",

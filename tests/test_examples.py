@@ -12,6 +12,7 @@ import pytest
 from awa_sim_node.surrogate import Surrogate
 from tests.support.processes import NodeProcess, NodeStarter, wait_until
 from tests.support.simulator import MIDDLE
+from tests.support.tuner import journal
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -62,62 +63,21 @@ def test_a_loop_of_ones_own_asks_and_tells(start_node: NodeStarter) -> None:
     assert all(line.startswith("f1 = ") for line in lines[9:])
 
 
-def test_a_client_is_interrupted_and_a_run_is_steered_from_the_shell(
+def test_ctrl_c_at_a_client_cancels_its_run(
     start_node: NodeStarter,
     start_machine: Callable[..., NodeProcess],
     start_tuner: Callable[..., NodeProcess],
+    tmp_path: Path,
 ) -> None:
     start_machine()
     start_tuner("initial_evaluations:=4")
-
-    def steer(*words: str) -> NodeProcess:
-        process = start_node("-u", str(ROOT / "examples" / "steer.py"), *words)
-        process.wait(60.0)
-        return process
-
-    wait_until(lambda: steer("status").stdout == "idle\n", "the tuner", 60.0)
-    refused = steer("pause")
-    assert refused.popen.returncode == 1
-    assert refused.stderr == "refused: 'pause' concerns a run that goes on, and there is none\n"
     client = start_node("-u", str(ROOT / "examples" / "tune_client.py"), "1000")
     wait_until(lambda: len(client.stdout.splitlines()) >= 6, "evaluations", 60.0)
-    assert steer("pause").stdout.startswith("the run pauses before evaluation ")
-    assert "in the queue: 1" in steer("queue", "x1=0.5", "x2=-1e-1").stdout
-    changed = steer("set", "variables.x1.max=1.5", "evaluations=900")
-    assert changed.stdout.startswith("set: variables.x1.max, evaluations; "), changed.stderr
-    wrong = steer("set", "variables.x1.max=-9")
-    assert "refused: variables.x1.min is -2, which must be less than its max of -9" in wrong.stderr
-    unknown = steer("set", "variables.y.max=1")
-    assert unknown.stderr == "refused: the tuner does not know all of variables.y.max\n"
-    assert steer("status").stdout.startswith("paused; run ")
-    assert steer("step").stdout.startswith("one more evaluation")
-    front = steer("points").stdout.splitlines()
-    assert " points, measured; hypervolume " in front[0]
-    assert front[1].split() == ["index", "f1", "f2"]
-    index = front[2].split()[0]
     client.popen.send_signal(signal.SIGINT)
     assert client.wait(20.0) == 1
     assert client.stderr == "the run was canceled\n"
-    held = steer("go", index, "--hold", "2")
-    assert held.stdout.startswith(f"at point {index}, held with 2 evaluations: x1 = "), held.stderr
-    assert steer("best", "f2=2").popen.returncode == 0
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["queue", "x1"], "'x1' is not NAME=VALUE"),
-        (["queue", "x1=high"], "'high' in 'x1=high' is not a number"),
-        (["go", "-1"], "'-1' is not a whole number of at least 0"),
-        (["go", "4294967296"], "'4294967296' is not a whole number of at least 0"),
-    ],
-)
-def test_a_slip_on_the_command_line_is_named(
-    start_node: NodeStarter, words: list[str], sentence: str
-) -> None:
-    process = start_node(str(ROOT / "examples" / "steer.py"), *words)
-    assert process.wait() == 2
-    assert sentence in process.stderr
+    [folder] = (tmp_path / "runs").iterdir()
+    assert journal(tmp_path, folder.name)[-1]["stop_reason"] == "canceled"
 
 
 def test_the_machine_is_driven_by_plain_topics_alone(start_node: NodeStarter) -> None:

@@ -6,7 +6,7 @@ from glob import glob
 from setuptools import find_packages, setup
 
 NAME = "mobo_tuner"
-EXECUTABLES = ("console", "machine_bridge", "recorder", "tuner")
+EXECUTABLES = ("console", "machine_bridge", "recorder", "steer", "tuner")
 
 data_files = [
     ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

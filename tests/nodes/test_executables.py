@@ -15,6 +15,7 @@ EXECUTABLES = {
     ("mobo_tuner", "tuner"): ([], "'variables' is missing or empty"),
     ("mobo_tuner", "recorder"): ([], "bag_path"),
     ("mobo_tuner", "machine_bridge"): ([], "the parameter mapping is empty"),
+    ("mobo_tuner", "steer"): (["halt"], "halt"),
     ("mobo_tuner", "console"): (["-p", "evaluations:=-1"], "evaluations is -1"),
     ("awa_sim_node", "awa_sim"): (["-p", "model:=lcls"], "model is 'lcls'"),
 }

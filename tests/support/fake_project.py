@@ -46,6 +46,10 @@ def stop(number, frame):
 
 signal.signal(signal.SIGINT, signal.SIG_IGN if behaviour == "stubborn" else stop)
 signal.signal(signal.SIGTERM, signal.SIG_IGN if behaviour == "stubborn" else stop)
+if name == "steer":
+    names = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")
+    print(json.dumps([sys.argv[sys.argv.index("-m") + 2 :], *map(os.environ.get, names)]))
+    sys.exit(1 if behaviour == "refuse" else 0)
 note(f"started {os.getpid()}")
 if name == "resume_config":
     run_folder, out, *options = sys.argv[sys.argv.index(module) + 1 :]

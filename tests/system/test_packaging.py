@@ -17,7 +17,7 @@ from launcher.environment import clean_environment
 
 SOURCE = Path(__file__).resolve().parents[2] / "src"
 EXECUTABLES = {
-    "mobo_tuner": ["console", "machine_bridge", "recorder", "tuner"],
+    "mobo_tuner": ["console", "machine_bridge", "recorder", "steer", "tuner"],
     "awa_sim_node": ["awa_sim"],
 }
 

@@ -1,0 +1,116 @@
+"""The verbs of `mobo.py` that concern a running tuner: where it is, and the program that talks to it."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from launcher.command_line import STEERING, Parser, add_domain_id, add_runs_dir
+from launcher.environment import clean_environment
+from launcher.errors import RunFolderError, UsageError
+from launcher.programs import open_project
+from launcher.run_folder import RunFolder
+
+PROGRAM = "mobo_tuner.nodes.steer"
+# What says in the user's own environment how ROS programs find each other.
+DISCOVERY = (
+    "ROS_DOMAIN_ID",
+    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    "ROS_STATIC_PEERS",
+    "FASTDDS_BUILTIN_TRANSPORTS",
+)
+WITH_RUN = ("points", "go")  # the program's verbs that concern earlier runs, too
+
+
+def steer(root: Path, arguments: Sequence[str]) -> NoReturn:
+    """Become the program that does what the verb says.
+
+    Signals, the terminal and the exit status are then its own.
+
+    Args:
+        root: Folder of the project.
+        arguments: The verb and its arguments.
+
+    Raises:
+        UsageError, SetupError, RunFolderError, Interrupted, OSError
+    """
+    verb = arguments[0]
+    options, others = _parser(root, verb).parse_known_args(arguments[1:])
+    if verb in WITH_RUN and options.run:
+        others = [*others, "--run", Path(options.run).name]
+    surroundings = {} if {"-h", "--help"} & {*others} else _surroundings(options, verb, os.environ)
+    with open_project(root) as project:
+        python = str(project.environment.python)
+    sys.stdout.flush()
+    os.execve(
+        python,
+        [python, "-P", "-m", PROGRAM, verb, *others],
+        clean_environment(**surroundings),
+    )
+
+
+def _parser(root: Path, verb: str) -> argparse.ArgumentParser:
+    """Return the parser of what says where the tuner is; the program understands the rest."""
+    assert verb in STEERING
+    parser = Parser(prog=f"mobo.py {verb}", add_help=False, allow_abbrev=False)
+    add_runs_dir(parser, root)
+    add_domain_id(parser, "that of the run, or ROS_DOMAIN_ID")
+    parser.add_argument("--run", metavar="RUN", default="")
+    return parser
+
+
+def _surroundings(
+    options: argparse.Namespace, verb: str, environment: Mapping[str, str]
+) -> dict[str, str]:
+    """Return the environment variables with which the program finds the tuner.
+
+    A run that is going on is found by its folder; nodes that stay, by `ROS_DOMAIN_ID`.
+
+    Raises:
+        UsageError: If it is not clear which tuner is meant.
+        RunFolderError: If there is no such run.
+    """
+    own = {name: environment[name] for name in DISCOVERY if name in environment}
+    if options.domain_id is not None:
+        return {**own, "ROS_DOMAIN_ID": str(options.domain_id)}
+    running = {
+        folder.run_id: str(facts["domain_id"])
+        for folder in RunFolder.all(options.runs_dir)
+        if (facts := folder.facts()).get("state") == "running" and "domain_id" in facts
+    }
+    if options.run:
+        try:
+            facts = RunFolder.find(options.run, options.runs_dir).facts()
+        except RunFolderError:
+            if verb not in WITH_RUN:  # the tuner may know it
+                raise
+            facts = {}
+        if facts.get("state") == "running":
+            return _domain(str(facts["domain_id"]))
+        if verb not in WITH_RUN:
+            raise UsageError(f"the run '{options.run}' is not going on")
+    given = own.get("ROS_DOMAIN_ID", "")
+    domains = {*running.values()} | ({given} if given else set())
+    if not domains:
+        raise UsageError(
+            f"no run is going on in '{options.runs_dir}', and ROS_DOMAIN_ID is not set: "
+            "give --domain-id"
+        )
+    if len(domains) > 1:
+        found = [f"run '{name}' in ROS domain {number}" for name, number in running.items()]
+        found += [f"ROS_DOMAIN_ID is {given}"] if given else []
+        raise UsageError(f"several tuners are possible ({', '.join(found)}): give --domain-id")
+    return own if given else _domain(domains.pop())
+
+
+def _domain(number: str) -> dict[str, str]:
+    """Return the environment variables of programs in the domain of a run on this host."""
+    return {
+        "ROS_DOMAIN_ID": number,
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+    }

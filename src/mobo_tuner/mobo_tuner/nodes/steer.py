@@ -1,0 +1,297 @@
+"""Steer a tuner from the shell: watch, pause, change and end its run, and go to working points."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import signal
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+from mobo_tuner.client import ErrorCode, Front, Movement, Status, TunerClient, TunerError
+from mobo_tuner.displays.console_view import make_view
+
+POLL_PERIOD = 0.1  # [s]
+EXIT_ERROR = 1
+EXIT_INTERRUPTED = 130
+REFUSALS = (ErrorCode.REFUSED, ErrorCode.INVALID_GOAL, ErrorCode.INVALID_VALUE)
+
+Act = Callable[[TunerClient, argparse.Namespace], str]
+
+
+def status(client: TunerClient, _: argparse.Namespace) -> str:
+    """Say what the tuner is doing."""
+    now = client.status()
+    text = f"{now.state} {now.phase}".rstrip()
+    if now.run_id:
+        text += f"; run {now.run_id}: {_counts(now)}"
+    return f"{text}; {now.message}" if now.message else text
+
+
+def watch(client: TunerClient, _: argparse.Namespace) -> str:
+    """Show the run that is going on until it ends; Ctrl-C only ends the view."""
+    now = client.status()
+    view = make_view(now.run_id, now.budget)
+    try:
+        last = client.watch(**view.callbacks)
+    except KeyboardInterrupt:
+        return f"run {now.run_id} continues"
+    finally:
+        view.close()
+    text = f"run {last.run_id} has ended ({last.stop_reason}): {_counts(last)}"
+    return f"{text}; {last.message}" if last.message else text
+
+
+def cancel(client: TunerClient, _: argparse.Namespace) -> str:
+    """Cancel the run or the move that is going on, whoever asked for it."""
+    if not client.cancel_any():
+        raise TunerError(ErrorCode.REFUSED, "nothing is going on")
+    while client.status().state != "idle":
+        time.sleep(POLL_PERIOD)
+    return client.status().message or "canceled"
+
+
+def pause(client: TunerClient, _: argparse.Namespace) -> str:
+    """Pause the run before its next evaluation."""
+    return client.pause()
+
+
+def continue_(client: TunerClient, _: argparse.Namespace) -> str:
+    """Let a paused run continue."""
+    return client.resume()
+
+
+def step(client: TunerClient, _: argparse.Namespace) -> str:
+    """Make one more evaluation, then pause."""
+    return client.step()
+
+
+def skip(client: TunerClient, _: argparse.Namespace) -> str:
+    """End the evaluation in flight, which counts as failed."""
+    return client.skip()
+
+
+def stop(client: TunerClient, _: argparse.Namespace) -> str:
+    """End the run after the evaluation in flight."""
+    return client.stop()
+
+
+def queue(client: TunerClient, options: argparse.Namespace) -> str:
+    """Have a set-point evaluated next."""
+    return f"set-points in the queue: {client.queue(dict(options.values))}"
+
+
+def set_(client: TunerClient, options: argparse.Namespace) -> str:
+    """Set parameters of the tuner: all of them, or none."""
+    values = dict(options.values)
+    client.set(values)
+    return f"set: {', '.join(values)}"
+
+
+def points(client: TunerClient, options: argparse.Namespace) -> str:
+    """List the Pareto front of a run."""
+    found = client.working_points(options.run, predict=options.predict)
+    fronts = [("measured", found.measured)]
+    if found.predicted is not None:
+        fronts.append(("predicted", found.predicted))
+    descending = bool(options.sort) and _is_maximized(client, options.sort)
+    return "\n\n".join(
+        _table(front, title, options.sort, descending, options.top) for title, front in fronts
+    )
+
+
+def go(client: TunerClient, options: argparse.Namespace) -> str:
+    """Go to a point of a Pareto front; Ctrl-C stops the machine where it is."""
+
+    def show(movement: Movement) -> None:
+        held = f", {movement.evaluations} evaluations" if movement.evaluations else ""
+        print(f"{movement.phase}{held}", file=sys.stderr)
+
+    arrival = client.go(
+        options.index,
+        weights=dict(options.weights) if options.weights else None,
+        run_id=options.run,
+        hold=options.hold,
+        radius=options.radius,
+        on_feedback=show,
+    )
+    where = ", ".join(
+        f"{name} = {value:.6g} {arrival.units.get(name, '')}".rstrip()
+        for name, value in arrival.readbacks.items()
+    )
+    held = f", held with {arrival.evaluations} evaluations" if options.hold else ""
+    return f"at point {arrival.point.index} of run {arrival.run_id}{held}: {where}"
+
+
+VERBS: dict[str, Act] = {
+    "status": status,
+    "watch": watch,
+    "pause": pause,
+    "continue": continue_,
+    "step": step,
+    "skip": skip,
+    "stop": stop,
+    "cancel": cancel,
+    "queue": queue,
+    "set": set_,
+    "points": points,
+    "go": go,
+}
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = argparse.ArgumentParser(
+        prog="steer", description=(__doc__ or "").splitlines()[0], allow_abbrev=False
+    )
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
+    parsers = {}
+    for name, act in VERBS.items():
+        what = (act.__doc__ or "").splitlines()[0]
+        verb = verbs.add_parser(name, help=what, description=what, allow_abbrev=False)
+        verb.add_argument(
+            "--namespace", metavar="NAME", default="", help="namespace of the tuner (default: none)"
+        )
+        parsers[name] = verb
+    for name, kind, metavar in (
+        ("queue", _named_number, "NAME=NUMBER"),
+        ("set", _named_value, "NAME=VALUE"),
+    ):
+        parsers[name].add_argument("values", nargs="+", type=kind, metavar=metavar)
+    for name in ("points", "go"):
+        parsers[name].add_argument(
+            "--run", metavar="ID", default="", help="id of the run (default: the last one)"
+        )
+    parsers["points"].add_argument(
+        "--top", type=_count, metavar="N", help="number of points to list (default: all)"
+    )
+    parsers["points"].add_argument(
+        "--sort", default="", metavar="NAME", help="objective or variable; the best comes first"
+    )
+    parsers["points"].add_argument(
+        "--predict", action="store_true", help="list the front that the models predict, too"
+    )
+    parsers["go"].add_argument(
+        "index", nargs="?", type=_count, metavar="INDEX", help="index of the point's evaluation"
+    )
+    parsers["go"].add_argument(
+        "--weights",
+        nargs="+",
+        type=_named_number,
+        metavar="OBJECTIVE=WEIGHT",
+        help="instead of an index: go to the point with the least weighted sum [1/unit]",
+    )
+    parsers["go"].add_argument(
+        "--hold",
+        type=_count,
+        default=0,
+        metavar="N",
+        help="number of evaluations to hold the point with, against drift (default: 0)",
+    )
+    parsers["go"].add_argument(
+        "--radius",
+        type=float,
+        default=0.0,
+        metavar="SHARE",
+        help="radius of the search around it, as a share of each range (default: 0.1)",
+    )
+    return parser
+
+
+def main() -> None:
+    """Do one thing and print what came of it; end with 0, or with 1 and the reason."""
+    options = make_parser().parse_args()
+    for number in (signal.SIGTERM, signal.SIGHUP):  # which stop a move as Ctrl-C does
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
+    try:
+        with TunerClient(options.namespace) as client:
+            print(VERBS[options.verb](client, options))
+    except TunerError as error:
+        print(f"refused: {error}" if error.code in REFUSALS else error, file=sys.stderr)
+        sys.exit(EXIT_ERROR)
+    except KeyboardInterrupt:
+        print("stopped", file=sys.stderr)
+        sys.exit(EXIT_INTERRUPTED)
+
+
+def _counts(now: Status) -> str:
+    """Return a whole number as messages take it."""
+    return (
+        f"{now.evaluations} of {now.budget} evaluations, {now.feasible} feasible, "
+        f"{now.failed} failed, hypervolume {now.hypervolume:.6g}"
+    )
+
+
+def _is_maximized(client: TunerClient, name: str) -> bool:
+    try:
+        return bool(client.get(f"objectives.{name}.direction") == "maximize")
+    except TunerError as error:
+        if error.code != ErrorCode.REFUSED:
+            raise
+        return False  # not set, or not an objective
+
+
+def _table(front: Front, title: str, sort: str, descending: bool, top: int | None) -> str:
+    """Return a front, one point a line; a predicted point has no index, as nobody was there."""
+    listed = list(front.points)
+    if sort:
+        known = [*front.reference_point, *(listed[0].setpoint if listed else ())]
+        if listed and sort not in known:
+            raise TunerError(
+                ErrorCode.INVALID_VALUE, f"--sort is '{sort}'; allowed are {', '.join(known)}"
+            )
+        listed.sort(
+            key=lambda point: {**point.setpoint, **point.objectives}[sort], reverse=descending
+        )
+    shown = listed[:top]
+    count = len(listed) if len(shown) == len(listed) else f"{len(shown)} of {len(listed)}"
+    lines = [f"{count} points of run {front.run_id}, {title}; hypervolume {front.hypervolume:.6g}"]
+    names = list(front.reference_point)
+    if sort and sort not in names:
+        names.append(sort)
+    rows = [["index", *(f"{name} {front.units.get(name, '')}".strip() for name in names)]]
+    for point in shown:
+        values = {**point.setpoint, **point.objectives}
+        index = "-" if point.index is None else str(point.index)
+        rows.append([index, *(f"{values[name]:.4g}" for name in names)])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines += ["  ".join(map(str.rjust, row, widths)) for row in rows]
+    return "\n".join(lines)
+
+
+def _named_value(text: str) -> tuple[str, Any]:
+    """Return NAME=VALUE; the value is a number, true, false, a list of these, or text."""
+    name, equals, value = text.partition("=")
+    if not (name and equals and value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
+    try:
+        return name, json.loads(value)
+    except ValueError:
+        return name, value
+
+
+def _named_number(text: str) -> tuple[str, float]:
+    """Return NAME=NUMBER."""
+    name, value = _named_value(text)
+    try:
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            if math.isfinite(value):
+                return name, float(value)
+    except OverflowError:
+        pass
+    raise argparse.ArgumentTypeError(f"{value!r} in {text!r} is not a number")
+
+
+def _count(text: str) -> int:
+    """Return a whole number as messages take it."""
+    if not (text.isdecimal() and int(text) < 2**32):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 0")
+    return int(text)
+
+
+if __name__ == "__main__":
+    main()

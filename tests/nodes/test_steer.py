@@ -1,0 +1,147 @@
+"""Steering from the shell: each verb with a real tuner at the other end."""
+
+from __future__ import annotations
+
+import re
+import signal
+from collections.abc import Callable
+
+import pytest
+
+from tests.support.processes import NodeProcess, NodeStarter, wait_until
+
+Start = Callable[..., NodeProcess]
+ENDLESS = "100000"
+
+
+class Shell:
+    """The commands of an operator."""
+
+    def __init__(self, start: NodeStarter) -> None:
+        self._start = start
+
+    def begin(self, *words: str) -> NodeProcess:
+        """Start a command."""
+        return self._start("-u", "-m", "mobo_tuner.nodes.steer", *words)
+
+    def __call__(self, *words: str) -> str:
+        """Return what a command prints, which must succeed."""
+        process = self.begin(*words)
+        assert process.wait(60.0) == 0, process.stderr
+        return process.stdout
+
+    def refused(self, *words: str) -> str:
+        """Return the sentence of a command that is refused."""
+        process = self.begin(*words)
+        assert process.wait(60.0) == 1, process.stdout
+        [sentence] = process.stderr.splitlines()
+        assert sentence.startswith("refused: ")
+        return sentence
+
+    def tune(self) -> NodeProcess:
+        """Start a run that does not end by itself."""
+        parameters = ("-p", f"evaluations:={ENDLESS}", "-p", "wait_for_recorder:=false")
+        return self._start("-m", "mobo_tuner.nodes.console", "--ros-args", *parameters)
+
+
+@pytest.fixture
+def shell(start_node: NodeStarter, start_machine: Start, start_tuner: Start) -> Shell:
+    """A shell where a tuner and a machine of the toy problem are running."""
+    start_machine()
+    start_tuner("initial_evaluations:=4")
+    return Shell(start_node)
+
+
+def test_a_run_is_steered(shell: Shell) -> None:
+    assert shell("status") == "idle\n"
+    for verb in ("pause", "continue", "step", "skip", "stop", "watch", "cancel"):
+        shell.refused(verb)
+    console = shell.tune()
+    wait_until(lambda: len(console.stdout.splitlines()) >= 6, "evaluations", 60.0)
+    assert "evaluation" in shell("pause")
+    assert shell("status").startswith("paused; run ")
+    assert shell("queue", "x1=0.5", "x2=-1e-1") == "set-points in the queue: 1\n"
+    view = shell.begin("watch")
+    wait_until(lambda: "evaluation" in view.stdout, "the view")
+    changed = shell("set", "variables.x1.max=1.5", "evaluations=900", "objectives.f1.reference=4")
+    assert changed == "set: variables.x1.max, evaluations, objectives.f1.reference\n"
+    assert "objectives.f1.truncation" in shell(
+        "set", "objectives.f1.truncation=[0, 5.5]", "objectives.f2.truncation=[0,6]"
+    )
+    assert "variables.x1.min" in shell.refused("set", "variables.x1.max=-9")
+    assert "'variables.y.max'" in shell.refused("set", "variables.y.max=1")
+    assert "evaluations" in shell.refused("set", 'evaluations={"a": 1}')
+    assert "x2" in shell.refused("queue", "x1=0.5")
+    assert "evaluation" in shell("step")
+    wait_until(lambda: " of 900 done" in view.stdout, "the step")
+    assert "paused: " in view.stdout
+    shell("continue")
+    assert "evaluation" in shell("skip")
+    assert "evaluation" in shell("stop")
+    assert console.wait(30.0) == 0
+    assert view.wait(30.0) == 0
+    assert re.search(r"run \S+ has ended \(stopped\): \d+ of 900", view.stdout.splitlines()[-1])
+    indices = [int(i) for i in re.findall(r"^evaluation +(\d+),", view.stdout, re.MULTILINE)]
+    assert indices == list(range(len(indices)))
+
+
+def test_a_run_is_watched_for_a_while_and_canceled_from_elsewhere(shell: Shell) -> None:
+    console = shell.tune()
+    wait_until(lambda: len(console.stdout.splitlines()) >= 3, "evaluations", 60.0)
+    view = shell.begin("watch")
+    wait_until(lambda: "evaluation" in view.stdout, "the view")
+    view.popen.send_signal(signal.SIGINT)
+    assert view.wait() == 0
+    assert view.stdout.splitlines()[-1].endswith("continues")
+    assert shell("status").startswith(("evaluating", "suggesting"))
+    assert "canceled" in shell("cancel")
+    assert console.wait() == 130
+    assert "idle" in shell("status")
+
+
+def test_working_points_are_listed_and_gone_to(shell: Shell) -> None:
+    assert "no front" in shell.refused("points")
+    console = shell.tune()
+    wait_until(lambda: len(console.stdout.splitlines()) >= 9, "evaluations", 60.0)
+    shell("stop")
+    assert console.wait() == 0
+    lines = shell("points", "--sort", "f2", "--predict").splitlines()
+    run_id = re.search(r"points of run (\S+), measured; hypervolume ", lines[0])
+    assert run_id
+    assert lines[1].split() == ["index", "f1", "f2"]
+    measured = [line.split() for line in lines[2 : lines.index("")]]
+    assert [float(row[2]) for row in measured] == sorted(float(row[2]) for row in measured)
+    assert "predicted" in lines[lines.index("") + 1]
+    assert lines[-1].split()[0] == "-"
+    top = shell("points", "--sort", "x1", "--top", "1").splitlines()
+    assert top[0].startswith(f"1 of {len(measured)} points")
+    assert top[1].split() == ["index", "f1", "f2", "x1"]
+    assert len(top) == 3
+    assert "'f3'" in shell.refused("points", "--sort", "f3")
+
+    index = measured[0][0]
+    at = shell("go", index, "--hold", "2")
+    assert at.startswith(f"at point {index} of run {run_id[1]}, held with 2 evaluations: x1 = ")
+    assert shell("go", "--weights", "f2=2").startswith("at point ")
+    assert "4000" in shell.refused("go", "4000", "--run", run_id[1])
+    assert "index" in shell.refused("go")
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["queue", "x1"], "'x1'"),
+        (["queue", "x1=high"], "'high'"),
+        (["queue", f"x1=1{'0' * 400}"], "x1"),
+        (["go", "-1"], "-1"),
+        (["go", "4294967296"], "'4294967296'"),
+        (["halt"], "halt"),
+    ],
+)
+def test_a_slip_on_the_command_line_is_named(
+    start_node: NodeStarter, words: list[str], named: str
+) -> None:
+    process = start_node("-m", "mobo_tuner.nodes.steer", *words)
+    assert process.wait() == 2
+    assert named in process.stderr
+    assert "Traceback" not in process.stderr
