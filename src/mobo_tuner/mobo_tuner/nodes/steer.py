@@ -278,12 +278,12 @@ def _named_number(text: str) -> tuple[str, float]:
     """Return NAME=NUMBER."""
     name, value = _named_value(text)
     try:
-        if isinstance(value, int | float) and not isinstance(value, bool):
-            if math.isfinite(value):
-                return name, float(value)
-    except OverflowError:
-        pass
-    raise argparse.ArgumentTypeError(f"{value!r} in {text!r} is not a number")
+        number = math.nan if isinstance(value, bool | str | list | dict) else float(value)
+    except (OverflowError, TypeError):  # a huge integer, or null
+        number = math.nan
+    if not math.isfinite(number):
+        raise argparse.ArgumentTypeError(f"{value!r} in {text!r} is not a number")
+    return name, number
 
 
 def _count(text: str) -> int:
