@@ -22,9 +22,9 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.11",
     # rclpy and the message packages come with ROS, or from requirements.txt.
-    install_requires=["mobo_tuner", "numpy", "torch"],
+    install_requires=["mobo_tuner", "numpy>=1.26", "torch>=2.1"],
     # The node needs neither: they make the data set that the surrogate learns from.
-    extras_require={"simulation": ["numba", "scipy"]},
+    extras_require={"simulation": ["numba>=0.58", "scipy>=1.11"]},
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
         NAME: ["py.typed"],

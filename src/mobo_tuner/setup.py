@@ -7,6 +7,15 @@ from setuptools import find_packages, setup
 
 NAME = "mobo_tuner"
 EXECUTABLES = ("console", "machine_bridge", "recorder", "steer", "tuner")
+# Exactly this version of rosbags: runs/bag.py writes MCAP with parts of it that may change.
+BAGS = ["backports.zstd", "lz4", "rosbags==0.11.9"]
+TUNER = ["numba>=0.58", "scipy>=1.11", "threadpoolctl>=3.1", *BAGS]  # resumes from a bag, too
+EXTRAS = {
+    "tuner": TUNER,
+    "recorder": BAGS,
+    "console": ["rich>=13.7"],
+    "report": [*TUNER, "matplotlib>=3.6", "rich>=13.7"],
+}
 
 data_files = [
     ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
@@ -24,17 +33,10 @@ setup(
     maintainer_email="mobo-ros@users.noreply.github.com",
     license="Apache-2.0",
     python_requires=">=3.11",
-    # rclpy and the message packages come with ROS, or from requirements.txt.
-    install_requires=[
-        "PyYAML",
-        "matplotlib",
-        "numba",
-        "numpy",
-        "rich",
-        "rosbags",
-        "scipy",
-        "threadpoolctl",
-    ],
+    # The machine's side needs these alone: mobo_tuner.machine, .bridge, .ros, machine_bridge. rclpy and
+    # the message packages come with ROS, or from requirements.txt. The oldest versions are Ubuntu 24.04's.
+    install_requires=["PyYAML>=6.0", "numpy>=1.26"],
+    extras_require={**EXTRAS, "all": sorted({name for extra in EXTRAS.values() for name in extra})},
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={NAME: ["py.typed"]},
     data_files=data_files,

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ast
+import email
+import importlib.metadata
 import re
 import shutil
 import subprocess
@@ -16,6 +19,7 @@ import pytest
 from launcher.environment import clean_environment
 
 SOURCE = Path(__file__).resolve().parents[2] / "src"
+MOBO_TUNER = SOURCE / "mobo_tuner" / "mobo_tuner"
 EXECUTABLES = {
     "mobo_tuner": ["console", "machine_bridge", "recorder", "steer", "tuner"],
     "awa_sim_node": ["awa_sim"],
@@ -89,3 +93,180 @@ def test_all_packages_have_one_version() -> None:
     with (SOURCE / "mobo_msgs_py" / "pyproject.toml").open("rb") as file:
         versions.add(tomllib.load(file)["project"]["version"])
     assert versions == {"0.1.0"}
+
+
+# ------------------------------------------------------------------ imports and what is declared
+
+MODULES = {"PyYAML": "yaml", "backports.zstd": "backports"}
+"""Top-level module of each package of PyPI whose name differs."""
+ROSDEP = {
+    "matplotlib": "python3-matplotlib",
+    "numba": "python3-numba",
+    "numpy": "python3-numpy",
+    "rich": "python3-rich",
+    "rosbags": "python3-rosbags-pip",
+    "scipy": "python3-scipy",
+    "torch": "python3-torch",
+    "yaml": "python3-yaml",
+}
+"""rosdep's key of each module."""
+WITHOUT_KEY = {"threadpoolctl"}  # README.md of the package says how it is installed
+WITH_ROSBAGS = {"backports", "lz4"}  # rosbags requires them
+# Which extra a part of a package needs; the longest prefix counts, nothing is needed without one.
+EXTRA_OF = {
+    "mobo_tuner": {
+        "core": ["tuner"],
+        "tuner": ["tuner"],
+        "runs": ["tuner"],
+        "runs/bag.py": ["recorder"],
+        "runs/mcap_records.py": ["recorder"],
+        "runs/rebuild.py": ["tuner", "recorder"],
+        "runs/report": ["report"],
+        "displays": ["console"],
+        "nodes/recorder.py": ["recorder"],
+        "warmup.py": ["tuner"],
+    },
+    "awa_sim_node": {"simulation": ["simulation"], "surrogate/train.py": ["simulation"]},
+}
+OF_ROS = {
+    "action_msgs",
+    "builtin_interfaces",
+    "diagnostic_msgs",
+    "lifecycle_msgs",
+    "mobo_msgs_py",
+    "rcl_interfaces",
+    "rclpy",
+    "rosgraph_msgs",
+    "rosidl_parser",
+    "sensor_msgs",
+    "std_msgs",
+    "std_srvs",
+}
+
+
+def foreign_imports(path: Path) -> set[str]:
+    """Top-level modules that a file imports from outside the standard library and its package."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names.add(node.module.split(".")[0])
+        elif isinstance(node, ast.Import):
+            names |= {alias.name.split(".")[0] for alias in node.names}
+    return names - sys.stdlib_module_names
+
+
+def declared(wheel: zipfile.ZipFile, package: str) -> dict[str, set[str]]:
+    """Modules that a wheel requires, by extra; "" for those that it always does."""
+    text = wheel.read(f"{package}-0.1.0.dist-info/METADATA").decode()
+    found: dict[str, set[str]] = {"": set()}
+    for line in email.message_from_string(text).get_all("Requires-Dist", []):
+        name = re.match(r"[\w.]+", line)
+        extra = re.search(r'extra == "(\w+)"', line)
+        assert name
+        module = MODULES.get(name[0], name[0])
+        found.setdefault(extra[1] if extra else "", set()).add(module)
+    return found
+
+
+def extras_of(package: str, file: str) -> list[str]:
+    """The extras that a file of a package needs."""
+    fitting = [p for p in EXTRA_OF[package] if file == p or file.startswith(f"{p}/")]
+    return EXTRA_OF[package][max(fitting, key=len)] if fitting else []
+
+
+@pytest.mark.parametrize("package", EXECUTABLES)
+def test_every_import_is_declared_for_pip_and_for_ros(
+    wheels: dict[str, zipfile.ZipFile], package: str
+) -> None:
+    for_pip = declared(wheels[package], package)
+    manifest = ElementTree.parse(SOURCE / package / "package.xml")
+    for_ros = {e.text for e in manifest.iter() if e.tag in ("depend", "exec_depend")}
+    for_tests = {e.text for e in manifest.iter() if e.tag == "test_depend"}
+    readme = (SOURCE / package / "README.md").read_text(encoding="utf-8")
+    used: set[str] = set()
+    for path in (SOURCE / package / package).rglob("*.py"):
+        file = path.relative_to(SOURCE / package / package).as_posix()
+        extras = extras_of(package, file)
+        allowed = for_pip[""].union(*(for_pip[extra] for extra in extras))
+        names = foreign_imports(path) - {package}
+        used |= names
+        assert names - OF_ROS <= allowed, f"{file} imports more than setup.py declares"
+        for name in names & OF_ROS:
+            assert name in for_ros, f"{file} imports {name}; package.xml does not declare it"
+        for name in names - OF_ROS - WITH_ROSBAGS:
+            key = ROSDEP.get(name, name)
+            known = key in for_ros or (extras == ["simulation"] and key in for_tests)
+            assert known or (name in WITHOUT_KEY and f"python3-{name}" in readme), (file, name)
+    assert set().union(*for_pip.values()) <= used, "setup.py declares what nothing imports"
+    keys = {ROSDEP.get(name, name) for name in used}
+    assert {name for name in for_ros if name} <= keys, "package.xml declares what nothing imports"
+
+
+def test_the_recorder_is_tied_to_one_version_of_rosbags(wheels: dict[str, zipfile.ZipFile]) -> None:
+    metadata = wheels["mobo_tuner"].read("mobo_tuner-0.1.0.dist-info/METADATA").decode()
+    pinned = f"rosbags=={importlib.metadata.version('rosbags')}"
+    assert re.search(rf"^Requires-Dist: {re.escape(pinned)};", metadata, flags=re.MULTILINE)
+    requirements = (SOURCE.parent / "requirements.txt").read_text(encoding="utf-8")
+    assert pinned in requirements.splitlines()
+
+
+def run_without(absent: set[str], program: str) -> None:
+    """Run a program in which some modules cannot be imported."""
+    hook = f"""
+import sys
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if any(name == a or name.startswith(a + ".") for a in {sorted(absent)!r}):
+            raise ModuleNotFoundError(name + " must not be imported")
+sys.meta_path.insert(0, Absent())
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", hook + program],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+OPTIONAL = {"numba", "scipy", "threadpoolctl", "matplotlib", "rosbags", "lz4", "backports", "rich"}
+OPTIMISER = {"mobo_tuner.core", "mobo_tuner.runs", "mobo_tuner.tuner"}
+
+
+def test_the_machines_side_runs_without_the_optimiser() -> None:
+    modules = [
+        f"mobo_tuner.{path.relative_to(MOBO_TUNER).with_suffix('').as_posix().replace('/', '.')}"
+        for room in ("machine", "bridge", "ros")
+        for path in (MOBO_TUNER / room).glob("*.py")
+    ]
+    modules += ["mobo_tuner.nodes.machine_bridge", "awa_sim_node.node"]
+    program = "\n".join(f"import {name.removesuffix('.__init__')}" for name in modules)
+    program += """
+from awa_sim_node.machine import SimulatedMachine
+assert SimulatedMachine("toy", "ideal", 0).readbacks()
+"""
+    run_without(OPTIONAL | OPTIMISER, program)
+
+
+@pytest.mark.parametrize(
+    ("node", "extras"),
+    [("tuner", {"tuner"}), ("recorder", {"recorder"}), ("console", {"console"})],
+)
+def test_each_node_starts_with_its_own_extra(
+    wheels: dict[str, zipfile.ZipFile], node: str, extras: set[str]
+) -> None:
+    for_pip = declared(wheels["mobo_tuner"], "mobo_tuner")
+    given = set().union(*(for_pip[extra] for extra in extras))
+    run_without(OPTIONAL - given, f"import mobo_tuner.nodes.{node}")
+
+
+@pytest.mark.parametrize("package", [*EXECUTABLES, "mobo_msgs_py"])
+def test_each_package_can_stand_alone(package: str) -> None:
+    folder = SOURCE / package
+    assert (folder / "LICENSE").read_bytes() == (SOURCE.parent / "LICENSE").read_bytes()
+    changelog = (folder / "CHANGELOG.rst").read_text(encoding="utf-8")
+    assert changelog.splitlines()[1] == f"Changelog for package {package}"
+    readme = (folder / "README.md").read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#]+)\)", readme):
+        assert (folder / target).exists(), target

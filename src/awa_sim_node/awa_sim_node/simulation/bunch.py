@@ -101,7 +101,7 @@ def emit(laser: Laser, charge: float, particles: int, seed: int) -> Bunch:
     if seed < 0:
         raise ValueError(f"seed = {seed} must be 0 or more")
     pairs = -(-particles // 2)
-    sequence = qmc.Sobol(6, scramble=True, rng=seed)
+    sequence = qmc.Sobol(6, scramble=True, seed=seed)
     # Sobol points come in powers of two; any first part of them also fills the space.
     u = sequence.random_base2(max(pairs - 1, 1).bit_length())[:pairs]
     u = np.clip(u, 1e-9, 1.0 - 1e-9)

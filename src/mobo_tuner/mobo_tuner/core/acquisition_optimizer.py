@@ -241,7 +241,7 @@ class MultiStart(Maximizer):
             around = origins + self.nearby * rng.standard_normal(origins.shape)
             around = np.clip(around, -1.0, 1.0)
             x = _spread_out(around, search.values(around), self.near_starts, self.near_apart)[0]
-        spread = qmc.Sobol(d, rng=rng).random_base2(math.ceil(math.log2(self.screened)))
+        spread = qmc.Sobol(d, seed=rng).random_base2(math.ceil(math.log2(self.screened)))
         spread = np.clip(self.overshoot * (2.0 * spread - 1.0), -1.0, 1.0)
         far = _spread_out(spread, search.values(spread), self.far_starts, self.far_apart)[0]
         x = np.vstack([far, x])

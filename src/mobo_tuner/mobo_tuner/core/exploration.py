@@ -36,7 +36,7 @@ def explore(
         log_weight: Logarithm of a weight of the distance at points ``(m, d)``, shape ``(m,)``.
     """
     d = inputs.shape[1]
-    points: Array = 2.0 * qmc.Sobol(d, rng=rng).random(_POINTS) - 1.0
+    points: Array = 2.0 * qmc.Sobol(d, seed=rng).random(_POINTS) - 1.0
     nearest = _TO_IMAGE * (1.0 - np.abs(points)).min(axis=1)
     if len(inputs):
         nearest = np.minimum(nearest, cdist(points, inputs).min(axis=1))

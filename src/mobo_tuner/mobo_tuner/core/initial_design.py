@@ -25,5 +25,5 @@ def initial_design(kind: str, n: int, d: int, seed: int) -> Array:
 
     rng = np.random.default_rng([seed, 0])
     spread = kind == "latin_hypercube"
-    unit = qmc.LatinHypercube(d, rng=rng).random(n) if spread else rng.random((n, d))
+    unit = qmc.LatinHypercube(d, seed=rng).random(n) if spread else rng.random((n, d))
     return np.asarray(2.0 * unit - 1.0)

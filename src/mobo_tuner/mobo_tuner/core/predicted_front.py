@@ -40,7 +40,7 @@ def predict_front(
         minimised objectives; k is at most `size` and may be 0.
     """
     d = len(problem.variables)
-    front = 2.0 * qmc.Sobol(d, rng=rng).random(_FIRST) - 1.0
+    front = 2.0 * qmc.Sobol(d, seed=rng).random(_FIRST) - 1.0
     front = np.vstack([front, np.clip(known, -1.0, 1.0)])
     front, means = _survivors(problem, models, front, size)
     for step in np.geomspace(*_STEPS, GENERATIONS):
