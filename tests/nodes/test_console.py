@@ -236,6 +236,30 @@ def test_a_tuner_that_does_not_heed_the_cancel_is_not_waited_for(session: Sessio
     assert session.lines[-1] == "canceled, but the tuner did not answer within 1.5 s"
 
 
+def canceled_session(session: Session, return_seconds: float) -> None:
+    """Let a run be canceled by a Ctrl-C; the machine is on its way back then."""
+    session.tuner_behaves(seconds=0.1, return_seconds=return_seconds)
+    session.start(evaluations=1000)
+    session.spin_until(lambda: "evaluation    0," in session.process.stdout, "an evaluation")
+    session.process.popen.send_signal(signal.SIGINT)
+    session.spin_until(lambda: "ramping" in session.process.stdout, "the way back")
+
+
+def test_ctrl_c_waits_until_the_machine_has_gone_back(session: Session) -> None:
+    canceled_session(session, return_seconds=4.0)  # longer than any stop may take
+    session.ends_with(130)
+    assert session.lines[-1].startswith("run run1 was canceled: ")
+    assert session.tuner.skips == 0
+
+
+def test_a_second_ctrl_c_stops_the_machine_on_its_way_back(session: Session) -> None:
+    canceled_session(session, return_seconds=3600.0)
+    session.process.popen.send_signal(signal.SIGINT)
+    session.ends_with(130, timeout=4.0)
+    assert session.lines[-1].startswith("run run1 was canceled: ")
+    assert session.tuner.skips == 1
+
+
 def test_a_tuner_that_falls_silent_is_an_error(session: Session) -> None:
     session.tuner_behaves(silent_after=1)
     session.start()

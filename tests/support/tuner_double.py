@@ -9,6 +9,7 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from rclpy.task import Future
+from std_srvs.srv import Trigger
 
 from mobo_msgs_py.action import Tune
 from mobo_msgs_py.msg import (
@@ -29,7 +30,8 @@ class Behaviour:
     """What the double does with a goal.
 
     It stops after `fail_after` evaluations with an error, falls silent after `silent_after`, and
-    publishes evaluations on the topic, in the feedback, or both.
+    publishes evaluations on the topic, in the feedback, or both. After a cancel the machine is on
+    its way for `return_seconds`, unless `skip` stops it.
     """
 
     seconds: float = 0.05  # per evaluation
@@ -37,6 +39,7 @@ class Behaviour:
     fail_after: int = -1
     silent_after: int = -1
     heeds_cancel: bool = True
+    return_seconds: float = 0.0
     publishes_topic: bool = True
     publishes_feedback: bool = True
 
@@ -49,6 +52,7 @@ class TunerDouble:
         self._behaviour = behaviour
         self.goals: list[Tune.Goal] = []
         self.cancels = 0
+        self.skips = 0
         self._status = TunerStatus()
         self._silent = False
         self._problem = node.create_publisher(Problem, "problem", LATCHED)
@@ -56,6 +60,8 @@ class TunerDouble:
         self._status_publisher = node.create_publisher(TunerStatus, "status", LATCHED)
         self._front = node.create_publisher(ParetoFront, "pareto_front", LATCHED)
         node.create_timer(1.0, self.publish_status)
+        self._skip: Future = Future(executor=node.executor)
+        self._service = node.create_service(Trigger, "skip", self._on_skip)
         self._server = ActionServer(
             node,
             Tune,
@@ -76,6 +82,13 @@ class TunerDouble:
     def close(self) -> None:
         """Take the action away; the node takes the rest."""
         self._server.destroy()
+        self._node.destroy_service(self._service)
+
+    def _on_skip(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.skips += 1
+        self._skip.set_result(None)
+        response.success = True
+        return response
 
     def _cancel(self, _: ServerGoalHandle) -> CancelResponse:
         self.cancels += 1
@@ -111,6 +124,7 @@ class TunerDouble:
             never: Future = Future(executor=self._node.executor)
             await first_of(self._node, never, timeout=3600.0 if self._silent else behaviour.seconds)
             if goal_handle.is_cancel_requested and behaviour.heeds_cancel:
+                await self._return(behaviour.return_seconds)
                 result.stop_reason = "canceled"
                 result.error_code = Tune.Result.CANCELED
                 result.error_msg = "the run was stopped: a client canceled it"
@@ -132,6 +146,14 @@ class TunerDouble:
         else:
             goal_handle.abort()
         return result
+
+    async def _return(self, duration: float) -> None:
+        """Move the machine after a cancel."""
+        if duration == 0.0:
+            return
+        self._status.state, self._status.phase = TunerStatus.MOVING, "ramping"
+        self.publish_status()
+        await first_of(self._node, self._skip, timeout=duration)
 
 
 def make_evaluation(run_id: str, index: int) -> Evaluation:

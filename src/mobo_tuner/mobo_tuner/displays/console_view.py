@@ -118,7 +118,7 @@ class LiveView(RunView):
 
 
 class PlainView(RunView):
-    """One line per evaluation, and one for each reason to wait, for logs and pipes."""
+    """One line per evaluation, for each reason to wait and for each second of a move."""
 
     def __init__(self, run_id: str, budget: int = 0, stream: TextIO | None = None) -> None:
         super().__init__(run_id, budget)
@@ -137,9 +137,11 @@ class PlainView(RunView):
         self._print(evaluation_line(evaluation, self.progress.budget))
 
     def status(self, status: Status) -> None:
-        """Print why the run waits, once."""
+        """Print why the run waits, once, and how far the machine has moved after a run."""
         super().status(status)
         wait = status.message if status.state in ("waiting", "paused") else ""
+        if status.state == "moving":
+            wait = f"{status.message or _STATES['moving']}, {status.phase} {status.fraction:.0%}"
         if wait and wait != self._wait:
             self._print(f"{status.state}: {wait}")
         self._wait = wait
@@ -185,7 +187,7 @@ def render(run_id: str, progress: RunProgress, stage: str = "") -> RenderableTyp
 
 
 def _activity(status: Status) -> str:
-    if status.state == "evaluating" and status.phase:
+    if status.state in ("evaluating", "moving") and status.phase:
         return f"machine: {status.phase} {status.fraction:.0%}"
     return _STATES.get(status.state, "")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import threading
 import time
@@ -44,6 +45,7 @@ class Console:
         """
         self.exit_code: int | None = None
         self.node = Node("console")
+        self._executor = executor
         parameters = declare(self.node, CONSOLE)
         run_id = str(parameters["run_id"])
         self._run_id = check_run_id(run_id) if run_id else new_run_id("run")
@@ -58,13 +60,46 @@ class Console:
         self.node.create_subscription(RecorderStatus, "recorder_status", self._on_recorder, LATCHED)
         threading.Thread(target=self._run, name="run", daemon=True).start()
 
-    async def stop(self) -> None:
-        """Cancel the run and wait a moment for what it reached."""
+    def interrupt(self) -> None:
+        """Cancel the run; as long as the machine is moved after that, the console waits for it."""
         self._interrupted = True
         self._client.cancel()
-        if not await until(self.node, lambda: self.exit_code is not None, timeout=CANCEL_TIMEOUT):
-            self._conclude(f"canceled, but the tuner did not answer within {CANCEL_TIMEOUT:g} s")
-            self.exit_code = EXIT_CANCELED
+        self._executor.create_task(self._await_fallback)
+
+    async def stop(self) -> None:
+        """Cancel the run and wait a moment for what it reached; the machine does not go back."""
+        if self.exit_code is not None:
+            return
+        self._interrupted = True
+        self._client.cancel()
+        if self._is_moving:
+            threading.Thread(target=self._stop_fallback, name="stop", daemon=True).start()
+        if not await self._ends_soon():
+            self._give_up()
+
+    async def _await_fallback(self) -> None:
+        """Wait for the end of a run that was canceled, and of the move that may follow."""
+        while not await self._ends_soon():
+            if not self._is_moving:
+                self._give_up()
+                return
+
+    async def _ends_soon(self) -> bool:
+        return await until(self.node, lambda: self.exit_code is not None, timeout=CANCEL_TIMEOUT)
+
+    def _give_up(self) -> None:
+        self._conclude(f"canceled, but the tuner did not answer within {CANCEL_TIMEOUT:g} s")
+        self.exit_code = EXIT_CANCELED
+
+    @property
+    def _is_moving(self) -> bool:
+        """Whether the tuner moves the machine, as it does after a cancel."""
+        return self._view.progress.status.state == "moving"
+
+    def _stop_fallback(self) -> None:
+        """Have the machine stop where it is."""
+        with contextlib.suppress(TunerError):
+            self._client.skip()
 
     def close(self) -> None:
         """Release the terminal and the node."""
@@ -149,7 +184,7 @@ class Console:
 
 def main() -> None:
     """Run the console until the run ends."""
-    exit_process(run_node(Console))
+    exit_process(run_node(Console, on_interrupt=Console.interrupt))
 
 
 if __name__ == "__main__":

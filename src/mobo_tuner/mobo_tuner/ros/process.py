@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from types import FrameType
-from typing import NoReturn, Protocol
+from typing import NoReturn, Protocol, TypeVar
 
 import rclpy
 from rclpy.exceptions import ROSInterruptException
@@ -44,7 +44,14 @@ class ManagedNode(Protocol):
         """Release everything; called once, last, whatever happened."""
 
 
-def run_node(create: Callable[[Executor], ManagedNode], args: Sequence[str] | None = None) -> int:
+NodeT = TypeVar("NodeT", bound=ManagedNode)
+
+
+def run_node(
+    create: Callable[[Executor], NodeT],
+    args: Sequence[str] | None = None,
+    on_interrupt: Callable[[NodeT], None] | None = None,
+) -> int:
     """Run one node until it is finished or a signal asks it to stop.
 
     Every call of rclpy happens on this thread. The first SIGINT or SIGTERM stops the node in an
@@ -52,13 +59,15 @@ def run_node(create: Callable[[Executor], ManagedNode], args: Sequence[str] | No
     `EXIT_TIMEOUT` seconds.
 
     Args:
-        create: builds the node, given the executor on which it will run.
-        args: command line; that of the process where None.
+        create: Function that builds the node, given the executor on which it will run.
+        args: Command line; that of the process if None.
+        on_interrupt: What a SIGINT does first, if it does not stop the node yet; the node then ends
+            by itself. The next SIGINT counts as the first of those that stop it.
 
     Returns:
         The exit status: 0, or what the node says, or 2 when it cannot start.
     """
-    stop = _StopRequest()
+    stop = _StopRequest(deferred=on_interrupt is not None)
     argv = list(sys.argv if args is None else args)
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
@@ -76,6 +85,9 @@ def run_node(create: Callable[[Executor], ManagedNode], args: Sequence[str] | No
             executor.add_node(managed.node)
             while managed.exit_code is None and not stop.requested:
                 executor.spin_once(timeout_sec=POLL_PERIOD)
+                if on_interrupt is not None and stop.interrupted:
+                    on_interrupt(managed)
+                    on_interrupt = None
             task = executor.create_task(managed.stop)
             deadline = time.monotonic() + STOP_TIMEOUT
             while not task.done() and time.monotonic() < deadline:
@@ -100,14 +112,24 @@ def exit_process(status: int) -> NoReturn:
 
 
 class _StopRequest:
-    """Remembers that SIGINT or SIGTERM came, and sees to it that the process ends in time."""
+    """Remembers that SIGINT or SIGTERM came, and sees to it that the process ends in time.
 
-    def __init__(self) -> None:
+    Attributes:
+        requested: Whether the process was asked to end.
+        interrupted: Whether a SIGINT came that is no such request yet.
+    """
+
+    def __init__(self, deferred: bool) -> None:
         self.requested = False
+        self.interrupted = False
+        self._deferred = deferred
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._handle)
 
     def _handle(self, number: int, _frame: FrameType | None) -> None:
+        if self._deferred and number == signal.SIGINT:
+            self._deferred, self.interrupted = False, True
+            return
         if self.requested:
             os._exit(128 + number)
         self.requested = True
