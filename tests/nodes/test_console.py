@@ -249,6 +249,7 @@ def test_ctrl_c_waits_until_the_machine_has_gone_back(session: Session) -> None:
     canceled_session(session, return_seconds=4.0)  # longer than any stop may take
     session.ends_with(130)
     assert session.lines[-1].startswith("run run1 was canceled: ")
+    assert any("Ctrl-C again" in line for line in session.lines)
     assert session.tuner.skips == 0
 
 

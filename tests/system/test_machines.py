@@ -187,6 +187,31 @@ def test_a_run_in_which_every_evaluation_failed_did_not_go_well(
     assert json.loads((run.folder / "summary.json").read_text())["failed"] == 3
 
 
+@pytest.fixture
+def slow_injector(tmp_path: Path) -> Path:
+    """A parameter file with a machine that goes back after a cancel, for some seconds."""
+    content = yaml.safe_load((ROOT / "config" / "awa.yaml").read_text())
+    content["awa_sim"]["ros__parameters"] |= {"mode": "ideal", "speed": 4.0}
+    content["tuner"]["ros__parameters"]["on_abort"] = "restore"
+    config = tmp_path / "slow.yaml"
+    config.write_text(yaml.safe_dump(content))
+    return config
+
+
+def test_ctrl_c_waits_until_the_machine_is_where_it_was(
+    slow_injector: Path, start: Callable[..., Run]
+) -> None:
+    run = start(config=str(slow_injector))
+    run.until(lambda: run.evaluations(), "an evaluation")
+    run.process.send_signal(signal.SIGINT)
+    status, out, err = run.wait()
+    assert (status, err) == (130, "mobo.py: the run was stopped by SIGINT\n")
+    assert any(line.startswith("moving: ") and "ramping" in line for line in out.splitlines())
+    assert run.journal()[-1]["error_msg"].endswith("the machine went to the state before the run")
+    assert facts_of(run)["state"] == "interrupted"
+    run.assert_nothing_left()
+
+
 @contextmanager
 def node_in(domain_id: int) -> Iterator[tuple[Node, SingleThreadedExecutor]]:
     context = Context()

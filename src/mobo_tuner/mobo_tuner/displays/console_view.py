@@ -63,6 +63,9 @@ class RunView:
     def stage(self, text: str) -> None:
         """Say what is waited for before the run; empty once it has begun."""
 
+    def hint(self, text: str) -> None:
+        """Say what the user can do now."""
+
     def evaluation(self, evaluation: Evaluation) -> None:
         """Show an evaluation."""
         self.progress.add(evaluation)
@@ -89,12 +92,18 @@ class LiveView(RunView):
     def __init__(self, run_id: str, budget: int = 0, stream: TextIO | None = None) -> None:
         super().__init__(run_id, budget)
         self._stage = ""
+        self._hint = ""
         self._live = Live(console=Console(file=stream), auto_refresh=False)
         self._live.start()
 
     def stage(self, text: str) -> None:
         """Show what is waited for."""
         self._stage = text
+        self._draw()
+
+    def hint(self, text: str) -> None:
+        """Show what the user can do now."""
+        self._hint = text
         self._draw()
 
     def evaluation(self, evaluation: Evaluation) -> None:
@@ -114,7 +123,9 @@ class LiveView(RunView):
 
     def _draw(self) -> None:
         if self._live.is_started:
-            self._live.update(render(self.run_id, self.progress, self._stage), refresh=True)
+            self._live.update(
+                render(self.run_id, self.progress, self._stage, self._hint), refresh=True
+            )
 
 
 class PlainView(RunView):
@@ -131,6 +142,10 @@ class PlainView(RunView):
         if text:
             self._print(text)
 
+    def hint(self, text: str) -> None:
+        """Print what the user can do now."""
+        self._print(text)
+
     def evaluation(self, evaluation: Evaluation) -> None:
         """Print the line of an evaluation."""
         super().evaluation(evaluation)
@@ -141,7 +156,8 @@ class PlainView(RunView):
         super().status(status)
         wait = status.message if status.state in ("waiting", "paused") else ""
         if status.state == "moving":
-            wait = f"{status.message or _STATES['moving']}, {status.phase} {status.fraction:.0%}"
+            wait = status.message or _STATES["moving"]
+            wait += f", {status.phase} {status.fraction:.0%}" if status.phase else ""
         if wait and wait != self._wait:
             self._print(f"{status.state}: {wait}")
         self._wait = wait
@@ -175,12 +191,14 @@ def evaluation_line(evaluation: Evaluation, budget: int) -> str:
     return f"{where} done: {', '.join(parts)}"
 
 
-def render(run_id: str, progress: RunProgress, stage: str = "") -> RenderableType:
+def render(run_id: str, progress: RunProgress, stage: str = "", hint: str = "") -> RenderableType:
     """Return the live view."""
     head = Text.assemble(("run ", "dim"), (run_id, "bold"))
     head.append(f"   {stage or _activity(progress.status)}", "cyan")
     if progress.status.message:
         head.append(f"\n{progress.status.message}", "yellow")
+    if hint:
+        head.append(f"\n{hint}", "bold")
     if progress.last is None:
         return head
     return Group(head, _bar(progress), _figures(progress), Text(), _objectives(progress))

@@ -79,10 +79,14 @@ class Console:
 
     async def _await_fallback(self) -> None:
         """Wait for the end of a run that was canceled, and of the move that may follow."""
+        hint = "press Ctrl-C again to stop the machine where it is"
         while not await self._ends_soon():
             if not self._is_moving:
                 self._give_up()
                 return
+            if hint:
+                self._view.hint(hint)
+                hint = ""
 
     async def _ends_soon(self) -> bool:
         return await until(self.node, lambda: self.exit_code is not None, timeout=CANCEL_TIMEOUT)
