@@ -69,9 +69,8 @@ class LivedRun:
         settings = {
             "preset": "default",
             "seed": optimizer.seed,
-            "initial_evaluations": optimizer.settings.initial_evaluations,
+            **optimizer.settings.to_dict(),
             "budget": 1000,
-            "proximal": False,
             "model_input": model_input,
         }
         header = {"run_id": run_dir.name, "stamp": 0.0, "settings": settings}

@@ -202,8 +202,11 @@ def test_settings_that_cannot_be_right_are_refused(tmp_path: Path) -> None:
     run.log.close()
     history = history_of(tmp_path / "run")
     for settings, sentence in (
-        ({}, "lack 'initial"),
-        ({"seed": []}, "lack"),
+        ({}, "lack 'preset'"),
+        ({"preset": "default"}, "lack 'seed'"),
+        ({"preset": "default", "seed": []}, "seed is"),
+        ({"preset": "default", "seed": 1, "kernel": "cubic"}, "kernel is 'cubic'"),
+        ({"preset": "default", "seed": 1, "weights": [1.0]}, "weights is"),
     ):
         with pytest.raises(ProblemError, match=sentence):
             replay.make_optimizer(history.problem, settings)

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from mobo_tuner.core import Problem, ProblemError
+from mobo_tuner.errors import UserError
 from mobo_tuner.files import load_yaml
 from mobo_tuner.runs.journal import JournalError
 from mobo_tuner.runs.resume_config import main, resume_config
@@ -72,7 +73,17 @@ def test_another_file_is_taken_as_it_is(folder: Path) -> None:
     assert resume_config(folder, other, None) == other.read_bytes()
 
 
-@pytest.mark.parametrize("tuner", [{}, {"seed": 5}, {"preset": "default"}], ids=str)
+@pytest.mark.parametrize(
+    "tuner",
+    [
+        {},
+        {"seed": 5},
+        {"preset": "default"},
+        {"kernel": "matern52", "proximal": None, "beta": 0.01, "max_attempts": 7},
+        {"maximizer_settings": {"screened": 512, "overshoot": 1.5}},
+    ],
+    ids=str,
+)
 def test_settings_that_a_run_keeps_may_be_given_again(folder: Path, tuner: dict[str, Any]) -> None:
     other = written(folder, tuner={"ros__parameters": tuner})
     assert resume_config(folder, other, 10) == other.read_bytes()
@@ -87,17 +98,22 @@ def test_settings_that_a_run_keeps_may_be_given_again(folder: Path, tuner: dict[
         ),
         (
             {"tuner": {"ros__parameters": {"preset": "paper"}}},
-            "tuner.preset is 'paper'; a run that goes on with 'earlier' keeps its \"default\"",
+            "tuner.preset is 'paper'; a run that resumes 'earlier' keeps its \"default\"",
         ),
         (
-            {"tuner": {"ros__parameters": {"proximal": True}}},
-            "tuner.proximal is True; a run that goes on with 'earlier' keeps its false",
+            {"tuner": {"ros__parameters": {"proximal": "costs"}}},
+            "tuner.proximal is 'costs'; a run that resumes 'earlier' keeps its null",
         ),
+        (
+            {"/**/tuner": {"ros__parameters": {"maximizer_settings": {"screened": 64}}}},
+            "tuner.maximizer_settings.screened is 64; a run that resumes 'earlier' keeps its 512",
+        ),
+        ({"tuner": {"ros__parameters": {"kernel": 3}}}, "tuner.kernel must be text, not 3"),
         ({"/**": {"ros__parameters": {"variables": {}}}}, "variables"),
     ],
 )
 def test_what_cannot_change_is_named(folder: Path, sections: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(ProblemError) as caught:
+    with pytest.raises(UserError) as caught:
         resume_config(folder, written(folder, **sections), None)
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)

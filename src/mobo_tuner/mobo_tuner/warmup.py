@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.core.acquisition import ACQUISITION_FUNCTIONS
 
 _PROBLEM = {
     "variables": {"x": {"min": 0.0, "max": 1.0}},
@@ -14,10 +15,14 @@ _PROBLEM = {
 
 
 def warm_up() -> None:
-    """Make a few suggestions with every acquisition function that runs compiled code."""
-    for acquisition in ("ehvi", "ucb_hvi"):
+    """Make a few suggestions with every acquisition function."""
+    for acquisition in ACQUISITION_FUNCTIONS:
+        single = ACQUISITION_FUNCTIONS.find(acquisition).single_objective
         optimizer = Optimizer(
-            Problem.from_dict(_PROBLEM), acquisition=acquisition, initial_evaluations=3
+            Problem.from_dict(_PROBLEM),
+            acquisition=acquisition,
+            weights=(1.0, 1.0) if single else None,
+            initial_evaluations=3,
         )
         for _ in range(5):
             setpoint = optimizer.ask()

@@ -101,7 +101,7 @@ def test_costs_shorten_the_steps_of_a_run_that_goes_on(
     tmp_path: Path,
 ) -> None:
     machine = toy_machine(node)
-    start_tuner("initial_evaluations:=6", "proximal:=true")
+    start_tuner("initial_evaluations:=6", "proximal:=costs")
     machine.held = True
     client.send(Tune.Goal(run_id="short", evaluations=12))
     spin_until(lambda: machine.goals, "an evaluation")

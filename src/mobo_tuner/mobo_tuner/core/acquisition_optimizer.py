@@ -289,7 +289,7 @@ class Search:
         if n_variables < 1:
             raise ValueError(f"n_variables must be at least 1, not {n_variables}")
         if not (np.asarray(tolerance) >= 0.0).all():
-            raise ValueError(f"tolerance must be at least 0, not {tolerance}")
+            raise ValueError(f"tolerance must be at least 0, not {tolerance!r}")
         if seconds is not None and not seconds >= 0.0:
             raise ValueError(f"seconds must be at least 0 or None, not {seconds}")
         self.n_variables = n_variables

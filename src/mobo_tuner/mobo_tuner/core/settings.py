@@ -205,3 +205,17 @@ def make_settings(preset: str, overrides: Mapping[str, Any]) -> OptimizerSetting
         return OptimizerSettings(**choices)
     except ParameterError as error:
         raise ProblemError(str(error)) from None
+
+
+def method_of(values: Mapping[str, Any]) -> OptimizerSettings:
+    """Return the choices that stand among other values, such as the settings that a journal records.
+
+    Args:
+        values: Preset and choices by name; a choice that is missing is the preset's.
+
+    Raises:
+        ProblemError: If the preset is missing, or a choice is not allowed.
+    """
+    if "preset" not in values:
+        raise ProblemError("the settings lack 'preset'")
+    return make_settings(values["preset"], {n: values[n] for n in CHOICES if n in values})

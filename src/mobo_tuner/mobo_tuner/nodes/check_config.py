@@ -22,6 +22,7 @@ from typing import Any
 import yaml
 
 from mobo_tuner.core.problem import Problem
+from mobo_tuner.core.settings import method_of
 from mobo_tuner.displays.configuration import Configuration, explanation
 from mobo_tuner.errors import FileError, ParameterError, UserError
 from mobo_tuner.files import load_yaml
@@ -29,12 +30,11 @@ from mobo_tuner.machine.description import MachineDescription
 from mobo_tuner.nodes.parameters import CONSOLE, RECORDER
 from mobo_tuner.parameter_spec import ParameterSpec
 from mobo_tuner.ros.parameters import check_section, node_sections
-from mobo_tuner.tuner.parameters import TUNER
+from mobo_tuner.tuner.parameters import check_tuner
 
 CONFIG_FILE = "config.yaml"  # in a run's folder
 DESCRIBE_TIMEOUT = 50.0  # [s]
 NODES: Mapping[str, tuple[ParameterSpec, ...]] = {
-    "tuner": TUNER,
     "recorder": RECORDER,
     "console": CONSOLE,
 }
@@ -68,11 +68,12 @@ def check(
     if program_yields and any(name in machines for name in sections):
         program = ""
     section = _machine_section(sections, machines, program)
-    _check_names(sections, [*NODES, *machines], allow_others=bool(program))
-    values = {
-        name: check_section(name, sections.get(name, {}), specs) for name, specs in NODES.items()
-    }
+    _check_names(sections, ["tuner", *NODES, *machines], allow_others=bool(program))
+    for name, specs in NODES.items():
+        check_section(name, sections.get(name, {}), specs)
+    tuner = check_tuner(sections.get("tuner", {}))
     problem = Problem.from_dict(content)
+    method_of(tuner).check_problem(problem)
     machine = None
     if section:
         machine = machines[section](Path(path))
@@ -81,7 +82,7 @@ def check(
             machine.diagnostics,
             {name: v.unit for name, v in machine.variables.items()},
         )
-    return Configuration(str(path), problem, values["tuner"], section, machine, program)
+    return Configuration(str(path), problem, tuner, section, machine, program)
 
 
 def describe_by(module: str) -> Describe:

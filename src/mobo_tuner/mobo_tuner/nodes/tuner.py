@@ -6,15 +6,21 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.task import Future
 
+from mobo_tuner.core.problem import SECTIONS
+from mobo_tuner.core.settings import method_of
 from mobo_tuner.errors import UserError
-from mobo_tuner.ros.parameters import declare
+from mobo_tuner.ros.parameters import (
+    declare,
+    given_parameters,
+    refuse_unknown,
+)
 from mobo_tuner.ros.process import STOP_TIMEOUT, exit_process, run_node
 from mobo_tuner.ros.waiting import until
 from mobo_tuner.ros.worker import Worker
 from mobo_tuner.tuner.context import TunerParts
 from mobo_tuner.tuner.heartbeat import Heartbeat
 from mobo_tuner.tuner.machine_client import MachineClient
-from mobo_tuner.tuner.parameters import TUNER
+from mobo_tuner.tuner.parameters import tuner_specs, with_method
 from mobo_tuner.tuner.problem_parameters import ProblemParameters
 from mobo_tuner.tuner.run.keeper import RunKeeper
 from mobo_tuner.tuner.services.ask_tell import AskTell
@@ -38,12 +44,16 @@ class Tuner:
         """Declare the parameters and serve.
 
         Raises:
-            ProblemError: the parameters do not make up a problem.
+            UserError: If the parameters do not make up a problem and a method that suits it.
         """
         self.node = Node("tuner", automatically_declare_parameters_from_overrides=True)
         try:
-            parameters = declare(self.node, TUNER)
+            given = given_parameters(self.node)
+            specs = tuner_specs(given)
+            refuse_unknown(given, [*(spec.name for spec in specs), *SECTIONS])
+            parameters = with_method(declare(self.node, specs))
             problem = ProblemParameters(self.node)
+            method_of(parameters).check_problem(problem.problem)
         except UserError:
             self.node.destroy_node()
             raise

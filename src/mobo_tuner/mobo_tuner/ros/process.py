@@ -17,6 +17,8 @@ from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedE
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from mobo_tuner.ros.parameters import with_parameters_first
+
 POLL_PERIOD = 0.1  # [s] a signal is noticed within this time
 STOP_TIMEOUT = 2.0  # [s] for a node to finish what it is doing
 EXIT_TIMEOUT = 3.5  # [s] after which the process ends whatever it is doing
@@ -70,7 +72,8 @@ def run_node(
     stop = _StopRequest(deferred=on_interrupt is not None)
     argv = list(sys.argv if args is None else args)
     try:
-        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+        with with_parameters_first(argv) as arguments:
+            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy raises many kinds for an unreadable parameter file
         print(f"cannot start: {_first_line(error)}", file=sys.stderr)
         return 2

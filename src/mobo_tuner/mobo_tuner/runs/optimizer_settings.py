@@ -6,29 +6,28 @@ from collections.abc import Mapping
 from typing import Any
 
 from mobo_tuner.core import Optimizer, Problem, ProblemError
+from mobo_tuner.core.settings import CHOICES, method_of
 
-OPTIMIZER_SETTINGS = ("preset", "seed", "initial_evaluations", "proximal", "model_input")
-"""Of a tuner."""
+KEPT = ("preset", "seed", "model_input", *CHOICES)
+"""Settings of the tuner that a resumed run keeps."""
+
+
+def kept_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of a run's settings that a run which resumes it keeps."""
+    return {name: settings[name] for name in KEPT if name in settings}
 
 
 def make_optimizer(problem: Problem, settings: Mapping[str, Any]) -> Optimizer:
-    """The optimiser of a run that knows nothing yet.
+    """Return the optimiser of a run before its first evaluation.
 
     Args:
-        problem: what is tuned.
-        settings: of the tuner; those that concern the optimiser are looked at.
+        problem: Problem that is tuned.
+        settings: Settings of the tuner, as a journal records them.
 
     Raises:
-        ProblemError: they are not allowed.
+        ProblemError: If one is missing, not allowed or does not suit the problem.
     """
-    try:
-        choices: dict[str, Any] = {}
-        if settings["initial_evaluations"]:
-            choices["initial_evaluations"] = settings["initial_evaluations"]
-        if settings["proximal"]:
-            choices["proximal"] = "costs"
-        return Optimizer(problem, preset=settings["preset"], seed=settings["seed"], **choices)
-    except KeyError as error:
-        raise ProblemError(f"the settings lack {error}") from None
-    except TypeError as error:
-        raise ProblemError(f"the settings are not as they should be: {error}") from None
+    method = method_of(settings).to_dict()
+    if "seed" not in settings:
+        raise ProblemError("the settings lack 'seed'")
+    return Optimizer(problem, seed=settings["seed"], **method)

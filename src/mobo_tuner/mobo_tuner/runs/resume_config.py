@@ -16,11 +16,14 @@ from typing import Any
 import yaml
 
 from mobo_tuner.core.problem import SECTIONS, Problem, ProblemError
+from mobo_tuner.core.settings import OptimizerSettings, method_of
 from mobo_tuner.errors import UserError
 from mobo_tuner.files import load_yaml
+from mobo_tuner.parameter_spec import specs_of
+from mobo_tuner.ros.parameters import flat, node_sections
 from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import read_journal
-from mobo_tuner.runs.optimizer_settings import OPTIMIZER_SETTINGS
+from mobo_tuner.runs.optimizer_settings import kept_settings
 
 CONFIG_FILE = "config.yaml"
 
@@ -75,14 +78,24 @@ def _check(content: Mapping[str, Any], history: History) -> None:
             f"the variables are {', '.join(names)}; a run that goes on with '{history.run_id}' "
             f"must have {', '.join(allowed)}"
         )
-    section = content.get("tuner")
-    given = section.get("ros__parameters") if isinstance(section, dict) else None
-    for name in OPTIMIZER_SETTINGS:
-        recorded = history.settings.get(name)
-        if isinstance(given, dict) and name != "seed" and given.get(name, recorded) != recorded:
+    given = dict(flat(node_sections(content).get("tuner", {})))
+    _check_kept(given, history)
+
+
+def _check_kept(given: Mapping[str, Any], history: History) -> None:
+    """Refuse another method, or other values for the models to learn from."""
+    recorded = kept_settings(history.settings)
+    recorded |= method_of(history.settings).to_dict()
+    recorded.update(flat({"maximizer_settings": recorded.pop("maximizer_settings")}))
+    specs = {spec.name: spec for spec in specs_of(OptimizerSettings)}
+    for name, value in given.items():
+        if name == "seed" or name not in recorded:
+            continue
+        wanted = specs[name].check(value, "tuner.") if name in specs else value
+        if wanted != recorded[name]:
             raise ProblemError(
-                f"tuner.{name} is {given[name]!r}; a run that goes on with '{history.run_id}' keeps "
-                f"its {json.dumps(recorded)}"
+                f"tuner.{name} is {value!r}; a run that resumes '{history.run_id}' keeps its "
+                f"{json.dumps(recorded[name])}"
             )
 
 

@@ -1,142 +1,192 @@
-"""The parameters of the tuner's node, beside those of the problem."""
+"""The parameters of the tuner's node, beside those of the problem: the run's and the method's.
 
-from mobo_tuner.parameter_spec import ParameterSpec
+The method's are the choices of `OptimizerSettings`, by the same names. What is not given is as the
+preset says, so that the node's parameters always tell the method in use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from mobo_tuner.core.acquisition_optimizer import MAXIMIZERS
+from mobo_tuner.core.settings import CHOICES, PRESETS, OptimizerSettings, make_settings
+from mobo_tuner.parameter_spec import ParameterSpec, specs_of
+from mobo_tuner.ros.parameters import check_section, flat
+
+_FALLBACKS = ("hold", "restore", "best")
+MAXIMIZER_SETTINGS = "maximizer_settings."
+"""What the names of the maximiser's settings begin with."""
 
 TUNER = (
     ParameterSpec(
         "preset",
         "default",
-        "how candidates are chosen: the best recipe known, or the paper's to the letter",
-        choices=("default", "paper"),
+        "Choices of the method that are not given: the best recipe known, or the paper's.",
+        choices=tuple(PRESETS),
     ),
-    ParameterSpec("seed", 0, "of every random choice of a run", minimum=0, maximum=2**31 - 1),
+    ParameterSpec("seed", 0, "Seed of the random number generators.", minimum=0, maximum=2**31 - 1),
     ParameterSpec(
         "evaluations",
         60,
-        "budget of a run whose goal names none; set while a run goes on, it is that run's budget",
+        "Budget of a run whose goal names none; set during a run, it is that run's budget.",
         minimum=1,
         maximum=100_000,
         writable=True,
     ),
     ParameterSpec(
-        "initial_evaluations",
-        0,
-        "points of the Latin-hypercube start; 0 = as many as the preset thinks fit",
-        minimum=0,
-        maximum=10_000,
-    ),
-    ParameterSpec(
-        "proximal",
-        False,
-        "whether steps from one set-point to the next are kept short, weighed by the variables' cost",
-    ),
-    ParameterSpec(
         "model_input",
         "setpoint",
-        "what the models learn from: where the machine was sent, or where its readbacks said it was",
+        "Values of the variables from which the models learn: set-points or readbacks.",
         choices=("setpoint", "readback"),
     ),
     ParameterSpec(
         "shots",
         0,
-        "shots to average over per evaluation; 0 = as many as the machine thinks fit",
+        "Shots that an evaluation averages; 0 = as many as the machine decides.",
         minimum=0,
         maximum=10_000,
     ),
-    ParameterSpec(
-        "runs_dir", "", "folder of the runs, where the journal is kept; empty = no journal"
-    ),
+    ParameterSpec("runs_dir", "", "Folder of the runs' journals; empty = no journal."),
     ParameterSpec(
         "discovery_timeout",
         10.0,
-        "how long a goal waits for the machine to appear [s]",
+        "Longest time to wait for the machine at the start of a run [s].",
         minimum=0.1,
         maximum=3600.0,
     ),
     ParameterSpec(
         "machine_timeout",
         5.0,
-        "silence of the machine (no feedback, no result) after which it counts as lost [s]",
+        "Silence of the machine (no feedback, no result) after which it counts as lost [s].",
         minimum=0.5,
         maximum=3600.0,
     ),
     ParameterSpec(
         "suggestion_timeout",
         300.0,
-        "longest time that one suggestion may take [s]",
+        "Longest time of one suggestion before the run ends with an error [s].",
         minimum=1.0,
         maximum=86_400.0,
     ),
     ParameterSpec(
         "evaluation_timeout",
         900.0,
-        "longest time that one evaluation may take [s]",
+        "Longest time of one evaluation [s].",
         minimum=1.0,
         maximum=86_400.0,
     ),
     ParameterSpec(
         "max_consecutive_failures",
         10,
-        "failed evaluations in a row after which the run ends with an error",
+        "Failed evaluations in a row after which the run ends with an error.",
         minimum=1,
         maximum=100_000,
     ),
     ParameterSpec(
         "on_failure",
         "skip",
-        "after a failed evaluation: try it again, learn from it and go on, or end the run",
+        "After a failed evaluation: repeat it, learn from it and continue, or end the run.",
         choices=("retry", "skip", "abort"),
     ),
     ParameterSpec(
         "max_attempts",
         3,
-        "how often an evaluation is tried before it counts as failed, where on_failure is retry",
+        "Attempts at an evaluation before it counts as failed, if on_failure is retry.",
         minimum=1,
         maximum=1000,
     ),
     ParameterSpec(
         "retry_delay",
         1.0,
-        "before the second attempt; it doubles with every further one, up to 60 s [s]",
+        "Delay before the first retry [s]; doubles on each further retry, up to 60 s.",
         minimum=0.0,
         maximum=60.0,
     ),
     ParameterSpec(
         "machine_return_timeout",
         60.0,
-        "how long a run pauses until a machine that was lost is back, before it ends with an error [s]",
+        "Longest pause until a lost machine is back, before the run ends with an error [s].",
         minimum=0.0,
         maximum=604_800.0,
     ),
     ParameterSpec(
         "on_abort",
         "hold",
-        "where the tuner sends the machine after a cancel, a stop or an error",
-        choices=("hold", "restore", "best"),
+        "Where the tuner sends the machine after a cancel, a stop or an error.",
+        choices=_FALLBACKS,
     ),
     ParameterSpec(
         "on_violation",
         "hold",
-        "where the machine goes when a critical constraint is violated",
-        choices=("hold", "restore", "best"),
+        "Where the machine goes when a critical constraint is violated.",
+        choices=_FALLBACKS,
     ),
     ParameterSpec(
         "on_client_lost",
         "hold",
-        "where the machine goes when the tuner's heartbeat stops",
-        choices=("hold", "restore", "best"),
+        "Where the machine goes when the tuner's heartbeat stops.",
+        choices=_FALLBACKS,
     ),
     ParameterSpec(
         "pause_on_violation",
         False,
-        "whether a run pauses, until someone says resume or step, after a violation",
+        "Whether a run pauses after a violation until an operator resumes or steps it.",
     ),
     ParameterSpec(
         "client_timeout",
         5.0,
-        "silence of the tuner's heartbeat after which the machine counts it as lost; "
-        "0 = it does not watch [s]",
+        "Silence of the tuner's heartbeat after which the machine counts it as lost [s]; 0 = never.",
         minimum=0.0,
         maximum=3600.0,
     ),
 )
+
+
+def tuner_specs(given: Mapping[str, Any], where: str = "") -> tuple[ParameterSpec, ...]:
+    """Return all parameters of the tuner's node, with the defaults that suit what is given.
+
+    Args:
+        given: Parameters by name; its preset and maximiser decide about the rest.
+        where: Text that precedes the names in an error.
+
+    Raises:
+        ParameterError: If the preset or the maximiser is not allowed.
+    """
+    preset = TUNER[0].check(given.get("preset", TUNER[0].default), where)
+    settings = PRESETS[str(preset)]
+    method = {
+        spec.name: replace(spec, default=getattr(settings, spec.name))
+        for spec in specs_of(OptimizerSettings)
+    }
+    chosen = method["maximizer"]
+    name = str(chosen.check(given.get("maximizer", chosen.default), where))
+    return (*TUNER, *method.values(), *specs_of(MAXIMIZERS.find(name), MAXIMIZER_SETTINGS))
+
+
+def check_tuner(section: Mapping[str, Any]) -> dict[str, Any]:
+    """Check the tuner's section of a file; defaults fill what is not given.
+
+    Raises:
+        UserError: If a parameter is unknown, of another type or not allowed, or two do not go
+            together.
+    """
+    specs = tuner_specs(dict(flat(section)), "tuner.")
+    return with_method(check_section("tuner", section, specs))
+
+
+def with_method(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return checked parameters with the maximiser's settings as one mapping.
+
+    Raises:
+        ProblemError: If two choices do not go together.
+    """
+    single = {n: v for n, v in values.items() if not n.startswith(MAXIMIZER_SETTINGS)}
+    settings = {
+        n.removeprefix(MAXIMIZER_SETTINGS): v
+        for n, v in values.items()
+        if n.startswith(MAXIMIZER_SETTINGS)
+    }
+    choices = {n: v for n, v in single.items() if n in CHOICES} | {"maximizer_settings": settings}
+    return single | make_settings(single["preset"], choices).to_dict()

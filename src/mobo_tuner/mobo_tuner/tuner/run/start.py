@@ -12,7 +12,7 @@ from mobo_msgs_py.action import Tune
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import Record, read_journal
-from mobo_tuner.runs.optimizer_settings import OPTIMIZER_SETTINGS, make_optimizer
+from mobo_tuner.runs.optimizer_settings import kept_settings, make_optimizer
 from mobo_tuner.runs.replay import restore
 from mobo_tuner.runs.run_id import check_run_id, new_run_id
 from mobo_tuner.runs.run_log import RunLog
@@ -102,7 +102,7 @@ def start_run(
             "of more is allowed"
         )
     # It begins as the earlier one did, so that it can be lived through from its own journal alone.
-    settings |= {name: history.settings[name] for name in OPTIMIZER_SETTINGS}
+    settings |= kept_settings(history.settings)
     settings["budget"] = history.settings.get("budget", budget)
     settings["hypervolume_goal"] = wanted or history.settings.get("hypervolume_goal", 0.0)
     header["problem"] = history.problem.to_dict()
@@ -181,7 +181,12 @@ def start_holding(
         "run_id": run_id,
         "stamp": stamp,
         "problem": focused.problem.to_dict(),
-        "settings": {**parameters, "budget": budget, "holds": run.run_id},
+        "settings": {
+            **parameters,
+            **focused.settings.to_dict(),
+            "budget": budget,
+            "holds": run.run_id,
+        },
     }
     held = Run(
         run_id=run_id,

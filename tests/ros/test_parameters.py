@@ -1,0 +1,165 @@
+"""Parameters of a node: from its files and its command line, declared, checked and dumped."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import NoneType
+from typing import Any
+
+import pytest
+import rclpy
+import yaml
+from rclpy.context import Context
+from rclpy.node import Node
+
+from mobo_tuner.errors import ParameterError
+from mobo_tuner.parameter_spec import ParameterSpec
+from mobo_tuner.ros.parameters import (
+    check_section,
+    declare,
+    flat,
+    given_parameters,
+    refuse_unknown,
+    with_parameters_first,
+)
+
+SPECS = (
+    ParameterSpec("count", 3, "How many.", minimum=1),
+    ParameterSpec("speed", 100.0, "How fast [1]."),
+    ParameterSpec("mean", "auto", "A mean.", choices=("auto",), types=(str, float)),
+    ParameterSpec("scales", None, "Scales.", types=(float, tuple, NoneType)),
+    ParameterSpec("weights", (1.0, 2.0), "Weights."),
+    ParameterSpec("folder", "", "A folder."),
+    ParameterSpec("below.this", 1, "A setting."),
+    ParameterSpec("open", True, "Whether it is open.", writable=True),
+)
+DEFAULTS = {spec.name: spec.default for spec in SPECS}
+
+
+@contextmanager
+def node_with(domain: int, *arguments: str, name: str = "tuner") -> Iterator[Node]:
+    """A node that is started with a command line."""
+    context = Context()
+    with with_parameters_first(["program", *arguments]) as words:
+        rclpy.init(args=words, context=context, domain_id=domain)
+    node = Node(name, context=context, automatically_declare_parameters_from_overrides=True)
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+
+
+def written(path: Path, section: dict[str, Any], name: str = "tuner") -> str:
+    path.write_text(yaml.safe_dump({name: {"ros__parameters": section}}))
+    return str(path)
+
+
+def declared(domain: int, *arguments: str) -> dict[str, Any]:
+    with node_with(domain, *arguments) as node:
+        return declare(node, SPECS)
+
+
+def test_defaults_hold_where_nothing_is_given(ros_domain: int) -> None:
+    with node_with(ros_domain) as node:
+        assert declare(node, SPECS) == DEFAULTS
+        descriptor = node.describe_parameter("count")
+        assert descriptor.description == "How many."
+        assert descriptor.additional_constraints == "at least 1"
+        assert descriptor.read_only
+        assert not node.describe_parameter("open").read_only
+
+
+def test_a_file_may_give_every_type(ros_domain: int, tmp_path: Path) -> None:
+    section = {
+        "count": 4,
+        "speed": 50,
+        "mean": 2,
+        "scales": [1, 2],
+        "weights": [0.5, 1e-7],
+        "below": {"this": 7},
+        "open": False,
+    }
+    file = written(tmp_path / "a.yaml", section)
+    expected = DEFAULTS | {
+        "count": 4,
+        "speed": 50.0,
+        "mean": 2.0,
+        "scales": (1.0, 2.0),
+        "weights": (0.5, 1e-7),
+        "below.this": 7,
+        "open": False,
+    }
+    assert declared(ros_domain, "--ros-args", "--params-file", file) == expected
+    assert check_section("tuner", section, SPECS) == expected
+    assert dict(flat(section)).keys() <= expected.keys()
+
+
+@pytest.mark.parametrize("section", ["tuner", "/tuner", "/**/tuner", "/**"])
+@pytest.mark.parametrize("first", [True, False], ids=["before", "after"])
+def test_the_command_line_wins_over_the_files(
+    ros_domain: int, tmp_path: Path, section: str, first: bool
+) -> None:
+    file = written(tmp_path / "a.yaml", {"count": 4, "speed": 5.0, "scales": 3.0}, section)
+    line = ["-p", "count:=9", "--param", "speed:=1e-5", "-p", "scales:=[1.0, 2.5]"]
+    line += ["-p", "mean:=auto", "-p", "folder:=/some:where else", "-p", "below.this:=2"]
+    files = ["--params-file", file]
+    order = [*line, *files] if first else [*files, *line]
+    assert declared(ros_domain, "--ros-args", *order) == DEFAULTS | {
+        "count": 9,
+        "speed": 1e-5,
+        "scales": (1.0, 2.5),
+        "folder": "/some:where else",
+        "below.this": 2,
+    }
+
+
+def test_the_command_line_wins_whatever_the_node_is_called(ros_domain: int, tmp_path: Path) -> None:
+    files = ["--params-file", written(tmp_path / "a.yaml", {"count": 4}, "/**")]
+    names = ["-r", "__ns:=/cave", "-r", "__node:=second"]
+    assert declared(ros_domain, "--ros-args", *files, "-p", "count:=9", *names)["count"] == 9
+
+
+def test_what_is_dumped_can_be_loaded(ros_domain: int, tmp_path: Path) -> None:
+    given = written(tmp_path / "a.yaml", {"speed": 3, "weights": [4.0, 5.0], "mean": 1.5})
+    with node_with(ros_domain, "--ros-args", "--params-file", given) as node:
+        values = declare(node, SPECS)
+        # As `ros2 param dump` writes it: null for what is not set.
+        dump = {
+            name: list(p.value) if hasattr(p.value, "tolist") else p.value
+            for name, p in node.get_parameters_by_prefix("").items()
+        }
+    assert dump["scales"] is None
+    dumped = written(tmp_path / "dump.yaml", dump)
+    with node_with(ros_domain, "--ros-args", "--params-file", dumped) as node:
+        given_names = given_parameters(node)
+        refuse_unknown(given_names, [spec.name for spec in SPECS])
+        assert declare(node, SPECS) == values
+
+
+def test_an_unknown_parameter_is_refused_with_the_nearest_known_one(
+    ros_domain: int, tmp_path: Path
+) -> None:
+    known = [*(spec.name for spec in SPECS), "constraints"]
+    for section, words in (
+        ({"conut": 3}, "'conut' is unknown in the node; did you mean 'count'"),
+        ({"constraint": {"dE": {"max": 1.0}}}, "'constraint' is unknown in the node; did you mean"),
+        ({"below": {"that": 3}}, "'below.that' is unknown in the node; did you mean 'below.this'"),
+        ({"constraints": {"dE": {"max": 1.0}}, "count": 4}, ""),
+    ):
+        file = written(tmp_path / "a.yaml", section)
+        with node_with(ros_domain, "--ros-args", "--params-file", file) as node:
+            given = given_parameters(node)
+            if words:
+                with pytest.raises(ParameterError, match=words):
+                    refuse_unknown(given, known)
+            else:
+                refuse_unknown(given, known)
+
+
+def test_a_value_that_is_not_allowed_is_refused(ros_domain: int) -> None:
+    for text, name in (("count:=0", "count"), ("scales:=x", "scales"), ("open:=1", "open")):
+        with pytest.raises(ParameterError, match=name):
+            declared(ros_domain, "--ros-args", "-p", text)
