@@ -8,15 +8,43 @@ import sys
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
+import pytest
+
 import awa_sim_node
 import mobo_tuner
+from mobo_tuner.core import Problem
 
 PACKAGE = Path(mobo_tuner.__file__).parent
 SIMULATOR = Path(awa_sim_node.__file__).parent
 ROS_PACKAGES = ("rclpy", "rcl_interfaces", "mobo_msgs_py", "std_msgs", "builtin_interfaces")
-# From the bottom to the top: each imports itself and those before it.
-LAYERS = ("core", "ros", "machine", "bridge", "runs", "tuner", "client", "displays", "nodes")
+ROOT = Path(__file__).resolve().parents[1]
+# What each room of the package may import besides itself; all may import the modules beside the rooms.
+ROOMS = {
+    "core": (),
+    "ros": (),
+    "machine": ("ros",),
+    "bridge": ("ros", "machine"),
+    "runs": ("core",),
+    "tuner": ("core", "ros", "runs"),
+    "client": ("core", "ros", "runs"),
+    "displays": ("core", "machine", "client"),
+    "nodes": ("core", "ros", "machine", "bridge", "runs", "tuner", "client", "displays"),
+}
 WITHOUT_ROS = ("core", "runs")
+# Modules of others that are not made for everybody, and the one module that may use each.
+WRAPPED = {
+    "rosbags.rosbag2.storage_mcap": "mobo_tuner/runs/bag.py",
+    "rosbags.rosbag2.metadata": "mobo_tuner/runs/bag.py",
+    "rclpy.impl.implementation_singleton": "mobo_tuner/ros/lifecycle.py",
+}
+PUBLIC = {"_asdict", "_exit", "_fields", "_make", "_replace"}  # in spite of their underscore
+SHIPPED = [  # files of the packages and of the entry script
+    *PACKAGE.rglob("*.py"),
+    *SIMULATOR.rglob("*.py"),
+    *(ROOT / "launcher").rglob("*.py"),
+    *(ROOT / "tools").rglob("*.py"),
+    ROOT / "mobo.py",
+]
 
 
 def test_the_core_works_where_ros_cannot_be_imported() -> None:
@@ -70,15 +98,117 @@ def test_what_knows_no_ros_imports_none() -> None:
             assert not foreign, f"{path} imports {foreign}"
 
 
-def test_each_layer_imports_only_those_below_it() -> None:
-    assert {p.parent.name for p in PACKAGE.glob("*/__init__.py")} == {*LAYERS}
-    for path in PACKAGE.glob("*/*.py"):
-        layer = LAYERS.index(path.parent.name)
-        for name in imports(path):
-            package, *rest = name.split(".")
-            assert package not in ("awa_sim_node", "torch"), f"{path} imports {name}"
-            if package == "mobo_tuner" and rest and rest[0] in LAYERS:
-                assert LAYERS.index(rest[0]) <= layer, f"{path} imports {name}"
+def rooms_of(names: set[str]) -> set[str]:
+    """The rooms of the package that some modules are in."""
+    parts = [name.split(".") for name in names if name.startswith("mobo_tuner.")]
+    return {part[1] for part in parts if part[1] in ROOMS}
+
+
+def test_each_room_imports_only_those_below_it() -> None:
+    assert {p.parent.name for p in PACKAGE.glob("*/__init__.py")} == {*ROOMS}
+    for room, below in ROOMS.items():
+        for path in (PACKAGE / room).rglob("*.py"):
+            found = imports(path)
+            assert rooms_of(found) <= {room, *below}, f"{path} imports {rooms_of(found)}"
+            assert not {n.split(".")[0] for n in found} & {"awa_sim_node", "torch"}, path
+
+
+def test_what_stands_beside_the_rooms_imports_none_of_them() -> None:
+    for path in {*PACKAGE.glob("*.py")} - {PACKAGE / "warmup.py"}:
+        assert not rooms_of(imports(path)), path
+
+
+def test_the_core_reads_no_files_but_a_problem_from_yaml() -> None:
+    for path in (PACKAGE / "core").rglob("*.py"):
+        found = imports(path)
+        assert "yaml" not in found, path
+        assert "mobo_tuner.files" not in found or path.name == "problem.py", path
+
+
+def test_the_simulator_imports_the_machines_side_alone() -> None:
+    for path in SIMULATOR.rglob("*.py"):
+        assert rooms_of(imports(path)) <= {"machine", "ros"}, path
+
+
+def test_the_package_knows_no_machine_by_name() -> None:
+    quantities = set(Problem.from_yaml(ROOT / "config" / "awa.yaml").objective_names)
+    assert quantities >= {"dE", "eps_x"}
+    for path in PACKAGE.rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        values = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)}
+        assert not quantities & {v for v in values if isinstance(v, str)}, path
+
+
+def is_private(name: str) -> bool:
+    return name.startswith("_") and not name.endswith("__") and name not in PUBLIC
+
+
+def private_uses(tree: ast.AST) -> list[str]:
+    """Private names of other modules, and private attributes of objects of other classes."""
+    found = []
+    own: dict[ast.AST, set[str]] = {}  # private names that the class around a node defines
+    for outer in ast.walk(tree):
+        if isinstance(outer, ast.ClassDef):
+            names = {n.attr for n in ast.walk(outer) if _is_own_attribute(n)}
+            names |= {n.name for n in outer.body if isinstance(n, ast.FunctionDef)}
+            names |= {n.name for n in outer.body if isinstance(n, ast.AsyncFunctionDef)}
+            for inner in ast.walk(outer):
+                own[inner] = names
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            parts = [*(node.module or "").split("."), *(alias.name for alias in node.names)]
+            found += [part for part in parts if is_private(part) and part != "__future__"]
+        elif isinstance(node, ast.Import):
+            found += [part for a in node.names for part in a.name.split(".") if is_private(part)]
+        elif (
+            isinstance(node, ast.Attribute)
+            and is_private(node.attr)
+            and not _is_own_attribute(node)
+            and node.attr not in own.get(node, set())
+        ):
+            found.append(ast.unparse(node))
+    return found
+
+
+def _is_own_attribute(node: ast.AST) -> bool:
+    return (
+        isinstance(node, ast.Attribute)
+        and isinstance(node.value, ast.Name)
+        and node.value.id in ("self", "cls")
+    )
+
+
+def test_private_names_stay_in_their_module_and_class() -> None:
+    for path in SHIPPED:
+        found = private_uses(ast.parse(path.read_text(encoding="utf-8")))
+        assert not found, f"{path} uses {found}"
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "from a import _b",
+        "import a._b",
+        "from a._b import c",
+        "a._b()",
+        "class A:\n def f(self, other): return other._x",
+    ],
+)
+def test_a_private_use_is_found(code: str) -> None:
+    assert private_uses(ast.parse(code))
+    assert not private_uses(
+        ast.parse("class A:\n def f(self, other): self._x = other._x; return point._asdict()")
+    )
+
+
+def test_what_others_may_change_is_used_in_one_module() -> None:
+    users = {
+        (name, path.relative_to(PACKAGE.parent).as_posix())
+        for path in PACKAGE.rglob("*.py")
+        for name in WRAPPED
+        if name in imports(path)
+    }
+    assert users == {*WRAPPED.items()}
 
 
 def test_modules_import_each_other_in_one_direction() -> None:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 from mcap.reader import make_reader
 from rosbags.interfaces import Connection
-from rosbags.rosbag2 import Reader, WriterError
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer, WriterError
+from rosbags.rosbag2.metadata import dump_qos_v9
+from rosbags.rosbag2.storage_mcap import McapWriter
 
 from mobo_tuner.runs.bag import BagWriter
 
@@ -100,3 +104,34 @@ def test_an_existing_folder_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
     with pytest.raises(WriterError, match="exists already"):
         BagWriter(tmp_path / "bag")
+
+
+def test_the_metadata_are_those_that_rosbags_writes(tmp_path: Path) -> None:
+    """The writer's own metadata, while it is open, and those of rosbags at the end must be the same.
+
+    If this fails after an update of rosbags, `_write_metadata` must follow its new format.
+    """
+    found = {}
+    for name, kind in (("ours", BagWriter), ("plain", Writer)):
+        options = {} if kind is BagWriter else {"version": 9, "storage_plugin": StoragePlugin.MCAP}
+        bag = kind(tmp_path / name / "bag", **options)
+        (tmp_path / name).mkdir()
+        bag.open()
+        text = connect(bag)
+        for stamp in (5, 7):
+            bag.write(text, stamp, b"\0\1\0\0")
+        if isinstance(bag, BagWriter):
+            bag.flush()
+            found["open"] = yaml.safe_load((bag.path / "metadata.yaml").read_text(encoding="utf-8"))
+        bag.close()
+        found[name] = yaml.safe_load((bag.path / "metadata.yaml").read_text(encoding="utf-8"))
+    assert found["open"] == found["ours"] == found["plain"]
+
+
+def test_the_parts_of_rosbags_that_the_writer_is_made_of() -> None:
+    """Its MCAP writer is not for everybody; this says what of it must stay, or be followed."""
+    assert {"path", "compression"} <= {*inspect.signature(McapWriter.__init__).parameters}
+    assert {"version", "metadata"} <= {*inspect.signature(McapWriter.close).parameters}
+    assert callable(McapWriter.close_chunk), "it writes the messages that are pending"
+    assert StoragePlugin.MCAP in Writer.STORAGE_PLUGINS, "a writer finds its storage there"
+    assert callable(dump_qos_v9), "metadata name QoS profiles in its way"

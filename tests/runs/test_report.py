@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Sequence
@@ -12,12 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
+from scipy.stats import spearmanr
 
 from mobo_tuner.core.problem import Problem
 from mobo_tuner.runs import report
 from mobo_tuner.runs.journal import FILE_NAME, Journal, JournalError, read_journal
 from mobo_tuner.runs.recorded_run import RecordedRun
 from mobo_tuner.runs.report.figures import (
+    conflicting_pair,
     front_figure,
     hypervolume_figure,
     product_of_units,
@@ -222,7 +225,9 @@ def test_the_front_of_two_has_the_right_names_units_and_steps(mixed: Path) -> No
     ]  # fmt: skip
 
 
-def test_the_front_is_shown_in_its_usual_plane_where_there_are_both(tmp_path: Path) -> None:
+def test_the_front_is_shown_in_the_plane_of_the_objectives_that_conflict_most(
+    tmp_path: Path,
+) -> None:
     objectives = {
         name: {"reference": 10.0, "unit": unit}
         for name, unit in (("sigma_x", "mm"), ("eps_x", "mm mrad"), ("dE", "MeV"))
@@ -230,11 +235,28 @@ def test_the_front_is_shown_in_its_usual_plane_where_there_are_both(tmp_path: Pa
     problem = {"variables": TWO["variables"], "objectives": objectives}
     problem["constraints"] = {"dE": {"max": 5.0}}
     folder = write_run(
-        tmp_path, [evaluation(0, {"sigma_x": 1.0, "eps_x": 2.0, "dE": 3.0})], problem
+        tmp_path,
+        [
+            evaluation(i, {"sigma_x": x, "eps_x": 1.0 + i, "dE": 4.0 - i})
+            for i, x in enumerate([3.0, 1.0, 2.0])
+        ],
+        problem,
     )
     axes = front_figure(RecordedRun.from_records(read_journal(folder))).axes[0]
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("dE [MeV]", "eps_x [mm mrad]")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("eps_x [mm mrad]", "dE [MeV]")
     assert "limit of dE" in axes.get_legend_handles_labels()[1]
+
+
+def test_the_pair_that_conflicts_most_against_scipy() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        front = rng.normal(size=(30, 4)) @ rng.normal(size=(4, 5))
+        pairs = list(itertools.combinations(range(5), 2))
+        correlations = [spearmanr(front[:, i], front[:, j])[0] for i, j in pairs]
+        assert conflicting_pair(front) == pairs[int(np.argmin(correlations))]
+    front[:, 0] = np.nan
+    assert 0 not in conflicting_pair(front)
+    assert conflicting_pair(front[:2]) == (0, 1)
 
 
 def test_the_hypervolume_is_shown_with_failures_and_the_product_of_units(mixed: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from io import BytesIO
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,6 @@ from mobo_tuner.core.pareto import is_nondominated
 from mobo_tuner.core.problem import Array, Objective
 from mobo_tuner.files import replace_file
 from mobo_tuner.runs.recorded_run import BoolArray, RecordedRun
-
-FRONT_PLANE = ("dE", "eps_x")  # shown where a problem has both, as (across, up)
 
 # Told apart by the colour-blind, too: after Okabe and Ito.
 _BLUE, _ORANGE, _RED, _GREY = "#0072B2", "#E69F00", "#D55E00", "#8C8C8C"
@@ -102,8 +101,8 @@ def hypervolume_figure(run: RecordedRun) -> Figure:
 def front_figure(run: RecordedRun) -> Figure:
     """All evaluations and the front, in the plane of two objectives.
 
-    The plane is that of `FRONT_PLANE`, or of the first two objectives. A single objective is shown
-    over the evaluations.
+    The plane is that of the two objectives that conflict most, see `conflicting_pair`. A single
+    objective is shown over the evaluations.
     """
     with rc_context(_STYLE):
         figure = Figure()
@@ -145,6 +144,28 @@ def staircase(points: Array, reference: Array) -> Array:
     return np.column_stack([np.repeat(x, 2)[:-1], np.repeat(y, 2)[1:]])
 
 
+def conflicting_pair(front: Array) -> tuple[int, int]:
+    """Return the columns of the two objectives that conflict most on a front.
+
+    Args:
+        front: Minimised objectives of the front, shape ``(n, P)``, P at least 2; NaN if not measured.
+
+    Returns:
+        The pair with the lowest rank correlation (Spearman's) over the points that have both; the
+        first such pair, or ``(0, 1)`` if fewer than three points do.
+    """
+    best, lowest = (0, 1), np.inf
+    for pair in combinations(range(front.shape[1]), 2):
+        both = front[:, pair]
+        both = both[np.isfinite(both).all(axis=1)]
+        ranks = np.argsort(np.argsort(both, axis=0, kind="stable"), axis=0)
+        if len(both) >= 3:
+            correlation = np.atleast_2d(np.corrcoef(ranks.T))[0, 1]
+            if correlation < lowest - 1e-12:
+                best, lowest = pair, correlation
+    return best
+
+
 def _draw_single(axes: Axes, run: RecordedRun) -> None:
     (objective,) = run.problem.objectives
     axes.set_title(f"run {run.run_id}: best value so far")
@@ -168,8 +189,8 @@ def _draw_single(axes: Axes, run: RecordedRun) -> None:
 def _draw_plane(axes: Axes, run: RecordedRun) -> PathCollection | None:
     """Draw two objectives; return the points that carry the colour of their index, if any."""
     names = run.problem.objective_names
-    plane = FRONT_PLANE if set(FRONT_PLANE) <= set(names) else names[:2]
-    columns = [names.index(name) for name in plane]
+    signs_of_all = np.array([objective.sign for objective in run.problem.objectives])
+    columns = list(conflicting_pair(run.objectives[run.front] * signs_of_all))
     across, up = (run.problem.objectives[column] for column in columns)
     axes.set_title(f"run {run.run_id}: {len(run.front)} points on the Pareto front")
     axes.set_xlabel(_label(across))
