@@ -199,7 +199,7 @@ def chance(options: argparse.Namespace) -> None:
             means = np.mean([[told.true, withheld.true] for told, withheld in pairs], axis=0)
             print(
                 f"  {name:8s} p = {p:4g}   of the means {means[0] / means[1]:.3f}   "
-                f"each {_spread(told.true / withheld.true for told, withheld in pairs)}",
+                f"least {min(told.true for told, _ in pairs):.3g} of {means[1]:.3g}",
                 flush=True,
             )
 

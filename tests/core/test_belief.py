@@ -86,6 +86,24 @@ def test_half_measured_evaluations_are_worth_half_as_many_whole_ones(seed: int) 
     assert true_hypervolume(half) >= 0.99 * full.hypervolume
 
 
+@pytest.mark.parametrize("rate", [0.5, 0.75])
+def test_failures_by_chance_cost_no_more_than_the_evaluations_lost(rate: float) -> None:
+    def mean_hypervolume(told: bool) -> float:
+        reached = []
+        for seed in range(4):
+            optimizer, rng = Optimizer(problem("f", "g"), seed=seed), np.random.default_rng(seed)
+            for _ in range(32):
+                setpoint = optimizer.ask()
+                if rng.random() >= rate:
+                    optimizer.tell(setpoint, truth(**setpoint))
+                elif told:
+                    optimizer.tell(setpoint, {}, failed=True)
+            reached.append(optimizer.hypervolume)
+        return float(np.mean(reached))
+
+    assert mean_hypervolume(told=True) >= 0.97 * mean_hypervolume(told=False)
+
+
 @pytest.mark.parametrize(
     "gained", [problem("f", "g", "h"), problem("f", "g", constraints={"h": {"max": 0.5}})]
 )

@@ -251,3 +251,34 @@ def _failures(fails, seed, suggestions=25):
 def test_steers_away_from_a_failing_half(sign):
     failures = [_failures(lambda x: sign * x[:, 0] > 0.0, seed) for seed in range(5)]
     assert np.median(failures) <= 3
+
+
+def outcomes(n: int, seed: int) -> tuple[np.ndarray, np.random.Generator]:
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-1.0, 1.0, (n, 2)), rng
+
+
+@pytest.mark.parametrize("rate", [0.2, 0.5, 0.75])
+def test_failures_by_chance_do_not_narrow_the_search(rate: float) -> None:
+    x, rng = outcomes(40, 3)
+    model = ValidityModel().fit(x, rng.random(40) >= rate)
+    weights = model.log_weight(x)
+    assert weights.max() - weights.min() < 0.8
+
+
+def test_failures_that_repeat_somewhere_do_narrow_it() -> None:
+    x, _ = outcomes(40, 3)
+    model = ValidityModel().fit(x, x[:, 0] < 0.0)
+    weights = model.log_weight(np.array([[-0.6, 0.0], [0.6, 0.0]]))
+    assert weights[0] > -0.5
+    assert weights[1] < -4.0
+
+
+def test_a_single_failure_among_many_deters_less_than_three_of_three() -> None:
+    x, _ = outcomes(20, 5)
+    valid = np.ones(20, dtype=np.bool_)
+    valid[7] = False
+    once = ValidityModel().fit(x, valid).log_weight(x[7:8])[0]
+    again = np.vstack([x, x[7] + [[0.03, 0.0], [0.0, 0.03]]])
+    repeated = ValidityModel().fit(again, np.append(valid, [False, False])).log_weight(x[7:8])[0]
+    assert repeated < once - 1.0

@@ -26,7 +26,7 @@ def predict_front(
     """Search for the predicted front.
 
     The predicted means of its points meet every constraint and are better than the reference point;
-    each point is valid with a probability of at least one half.
+    each point is at least half as likely to be valid as the best one known.
 
     Args:
         problem: Problem with d variables and P objectives.
@@ -62,7 +62,7 @@ def _survivors(problem: Problem, models: Models, x: Array, size: int) -> tuple[A
     for model, lower, upper in models.constraints:
         mean = model.predict(x)[0]
         good &= (lower <= mean) & (mean <= upper)
-    good &= models.validity.predict_log_probability(x) >= _LEAST_VALIDITY
+    good &= models.validity.log_weight(x) >= _LEAST_VALIDITY
     x, means = x[good], means[good]
     if len(x) == 0:
         return x, means

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lapack
-from scipy.special import expit, log_ndtr, ndtri
+from scipy.special import expit, log_expit, log_ndtr, ndtri
 
 from mobo_tuner.core.kernels import Kernel, Matern52, as_inputs, squared_distances
 from mobo_tuner.core.linear_algebra import (
@@ -35,8 +35,9 @@ _NEWTON_TOLERANCE = 1e-12
 _TRAINING_STEPS = 30
 _TRAINING_TOLERANCE = 1e-3
 _TRAINING_GROWTH = 1.1
-_WEIGHT_THRESHOLD = 0.8
+_LOG_THRESHOLD = float(np.log(0.8))
 _WEIGHT_STEEPNESS = 10.0
+_CAUSE_LOG_ODDS = 2.0  # before any evaluation: most failures of a machine have a cause
 
 
 class ValidityModel:
@@ -45,6 +46,9 @@ class ValidityModel:
     Where nothing has failed yet, it is one everywhere. Otherwise it returns, far from all
     observations, to a value between a half and the share of valid ones. Laplace's approximation
     is fast and cautious: where all evaluations are valid, it may still say 0.8.
+
+    A failure teaches where evaluations fail only as far as it repeats there: `log_weight` weighs the
+    evidence of a cause in x against that of chance.
 
     To steer an optimiser, multiply its acquisition function by the weight, not by the probability:
     the edge of what works is where improvements look largest, as nothing is known beyond, and
@@ -120,28 +124,38 @@ class ValidityModel:
         return np.asarray(log_ndtr(ratio)), _hazard(ratio)[:, None] * ratio_gradient
 
     def log_weight(self, x: ArrayLike) -> FloatArray:
-        """Logarithm `(m,)` of what the acquisition function is multiplied by at x `(m, d)`.
+        """Return the logarithm `(m,)` of the acquisition function's factor at x `(m, d)`.
 
-        `p / (1 + (c / p)^10)` for a probability p: p itself where it is above c, and vanishing
-        quickly below. c is 0.8 of the highest probability at an evaluated point, so that failures
-        all over the place, which have no cause in x, do not narrow the search.
+        `1 - q + q r / (1 + (0.8 / r)^10)`, with the probability q that failures have a cause in x
+        and r the probability that an evaluation at x is valid, over the highest one at an evaluated
+        point: r itself where it is above 0.8, and vanishing quickly below. Failures by chance, for
+        which q is small, do not narrow the search.
         """
-        return self._log_weight(self.predict_log_probability(x))
+        log_ratio = self.predict_log_probability(x)
+        if self._posterior is None:
+            return log_ratio
+        log_ratio = log_ratio - self._posterior.highest
+        lack = _WEIGHT_STEEPNESS * (_LOG_THRESHOLD - log_ratio)
+        return self._with_chance(log_ratio - np.logaddexp(0.0, lack))
 
     def log_weight_with_gradient(self, x: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """As `log_weight`, with its gradient in x `(m, d)`."""
-        log_probability, gradient = self.predict_log_probability_with_gradient(x)
+        log_ratio, gradient = self.predict_log_probability_with_gradient(x)
         if self._posterior is None:
-            return log_probability, gradient
-        short = expit(_WEIGHT_STEEPNESS * (self._posterior.log_threshold - log_probability))
-        slope = 1.0 + _WEIGHT_STEEPNESS * short
-        return self._log_weight(log_probability), slope[:, None] * gradient
+            return log_ratio, gradient
+        log_ratio = log_ratio - self._posterior.highest
+        lack = _WEIGHT_STEEPNESS * (_LOG_THRESHOLD - log_ratio)
+        caused = log_ratio - np.logaddexp(0.0, lack)
+        weight = self._with_chance(caused)
+        share = np.exp(self._posterior.log_caused + caused - weight)
+        slope = share * (1.0 + _WEIGHT_STEEPNESS * expit(lack))
+        return weight, slope[:, None] * gradient
 
-    def _log_weight(self, log_probability: FloatArray) -> FloatArray:
-        if self._posterior is None:
-            return log_probability
-        lack = _WEIGHT_STEEPNESS * (self._posterior.log_threshold - log_probability)
-        return np.asarray(log_probability - np.logaddexp(0.0, lack))
+    def _with_chance(self, log_weight: FloatArray) -> FloatArray:
+        """Mix the factor `(m,)` for failures with a cause and that for failures by chance, one."""
+        assert self._posterior is not None
+        log_caused, log_by_chance = self._posterior.log_caused, self._posterior.log_by_chance
+        return np.asarray(np.logaddexp(log_by_chance, log_caused + log_weight))
 
     def get_state(self) -> dict[str, Any]:
         """Hyperparameters as plain data for JSON, without the evaluations."""
@@ -236,6 +250,11 @@ class _Mode:
             if self.fit < before + tolerance:
                 return
 
+    @property
+    def evidence(self) -> float:
+        """Laplace's approximation of the log evidence, `[Rasmussen2006]_` Eq. (3.32)."""
+        return self.fit - float(np.log(np.diagonal(self.lower)).sum())
+
     def _evaluate(self, covariance: FloatArray, solution: FloatArray) -> None:
         rise = covariance @ solution
         self.z = self.signs * (self.offset + rise)
@@ -279,7 +298,7 @@ class _LaplaceLikelihood:
         mode = _Mode(covariance, self.valid, self._start)
         self._start = mode.weights
         a, root = mode.weights, mode.root
-        value = -mode.fit + float(np.log(np.diagonal(mode.lower)).sum())
+        value = -mode.evidence
 
         triangle = inverse_triangle(mode.lower) * root
         whole = triangle.T @ triangle
@@ -304,7 +323,13 @@ class _LaplaceLikelihood:
 class _LaplacePosterior(TriangularPosterior):
     """The latent process given the outcomes, less its prior mean `offset`.
 
-    `[Rasmussen2006]_` Eq. (3.21) and (3.24). Of use to the weight: `log_threshold`.
+    `[Rasmussen2006]_` Eq. (3.21) and (3.24).
+
+    Attributes:
+        highest: Logarithm of the highest probability at an observation.
+        log_caused: Logarithm of the probability that failures have a cause in x, by the evidence of
+            the process against that of one probability everywhere.
+        log_by_chance: Logarithm of the probability that they happen by chance.
     """
 
     def __init__(
@@ -320,8 +345,10 @@ class _LaplacePosterior(TriangularPosterior):
         self.weights = mode.weights
         self.inverse = np.asfortranarray(inverse_triangle(mode.lower) * mode.root)
         mean, stddev = self.predict(x)
-        highest = float(log_ndtr((self.offset + mean) / np.hypot(1.0, stddev)).max())
-        self.log_threshold = float(np.log(_WEIGHT_THRESHOLD)) + highest
+        self.highest = float(log_ndtr((self.offset + mean) / np.hypot(1.0, stddev)).max())
+        by_chance = float(log_ndtr(mode.signs * mode.offset).sum())
+        odds = _CAUSE_LOG_ODDS + mode.evidence - by_chance
+        self.log_caused, self.log_by_chance = (float(v) for v in log_expit([odds, -odds]))
 
 
 def _covariance(
