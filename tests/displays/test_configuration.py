@@ -9,7 +9,7 @@ import pytest
 from mobo_tuner.core.problem import Problem
 from mobo_tuner.displays.configuration import Configuration, explanation
 from mobo_tuner.machine.description import MachineDescription, Variable
-from mobo_tuner.ros.parameters import check_section
+from mobo_tuner.parameter_file import check_section
 from mobo_tuner.tuner.parameters import TUNER
 
 MACHINE = MachineDescription("injector", {"K1": Variable(0.0, 900.0, "A")}, {"dE": "MeV"}, 12.0)

@@ -15,11 +15,10 @@ from rclpy.context import Context
 from rclpy.node import Node
 
 from mobo_tuner.errors import ParameterError
+from mobo_tuner.parameter_file import check_section, flat
 from mobo_tuner.parameter_spec import ParameterSpec
 from mobo_tuner.ros.parameters import (
-    check_section,
     declare,
-    flat,
     given_parameters,
     refuse_unknown,
     with_parameters_first,

@@ -10,7 +10,7 @@ from mobo_tuner.core.acquisition_optimizer import ParticleSwarm
 from mobo_tuner.core.settings import CHOICES, PRESETS, method_of
 from mobo_tuner.errors import UserError
 from mobo_tuner.files import load_yaml
-from mobo_tuner.ros.parameters import node_sections
+from mobo_tuner.parameter_file import node_sections
 from mobo_tuner.tuner.parameters import TUNER, check_tuner, tuner_specs
 from tests.support.tuner import CONFIG
 

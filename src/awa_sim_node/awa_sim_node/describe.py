@@ -14,7 +14,7 @@ from awa_sim_node.parameters import AWA_SIM, behaviour_specs
 from mobo_tuner.errors import ParameterError
 from mobo_tuner.files import load_yaml
 from mobo_tuner.machine.description import MachineDescription, Variable, print_description
-from mobo_tuner.ros.parameters import check_section, node_sections
+from mobo_tuner.parameter_file import check_section, node_sections
 
 NODE = "awa_sim"
 

@@ -12,8 +12,8 @@ from mobo_tuner.errors import ParameterError
 from mobo_tuner.files import load_yaml
 from mobo_tuner.machine.description import MachineDescription, Variable, print_description
 from mobo_tuner.machine.ramp import count_steps
+from mobo_tuner.parameter_file import check_section, node_sections
 from mobo_tuner.parameter_spec import AUTOSTART, ParameterSpec
-from mobo_tuner.ros.parameters import check_section, node_sections
 
 NODE = "machine_bridge"
 MACHINE_BRIDGE = (

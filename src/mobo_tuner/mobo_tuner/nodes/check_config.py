@@ -28,8 +28,8 @@ from mobo_tuner.errors import FileError, ParameterError, UserError
 from mobo_tuner.files import load_yaml
 from mobo_tuner.machine.description import MachineDescription
 from mobo_tuner.nodes.parameters import CONSOLE, RECORDER
+from mobo_tuner.parameter_file import check_section, node_sections
 from mobo_tuner.parameter_spec import ParameterSpec
-from mobo_tuner.ros.parameters import check_section, node_sections
 from mobo_tuner.tuner.parameters import check_tuner
 
 CONFIG_FILE = "config.yaml"  # in a run's folder

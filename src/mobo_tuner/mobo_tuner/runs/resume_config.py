@@ -19,8 +19,8 @@ from mobo_tuner.core.problem import SECTIONS, Problem, ProblemError
 from mobo_tuner.core.settings import OptimizerSettings, method_of
 from mobo_tuner.errors import UserError
 from mobo_tuner.files import load_yaml
+from mobo_tuner.parameter_file import flat, node_sections
 from mobo_tuner.parameter_spec import specs_of
-from mobo_tuner.ros.parameters import flat, node_sections
 from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import read_journal
 from mobo_tuner.runs.optimizer_settings import kept_settings

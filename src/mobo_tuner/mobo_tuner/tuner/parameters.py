@@ -12,8 +12,8 @@ from typing import Any
 
 from mobo_tuner.core.acquisition_optimizer import MAXIMIZERS
 from mobo_tuner.core.settings import CHOICES, PRESETS, OptimizerSettings, make_settings
+from mobo_tuner.parameter_file import check_section, flat
 from mobo_tuner.parameter_spec import ParameterSpec, specs_of
-from mobo_tuner.ros.parameters import check_section, flat
 
 _FALLBACKS = ("hold", "restore", "best")
 MAXIMIZER_SETTINGS = "maximizer_settings."

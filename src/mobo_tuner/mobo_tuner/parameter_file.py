@@ -1,0 +1,66 @@
+"""Sections of a parameter file, checked before any node runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from mobo_tuner.errors import ParameterError
+from mobo_tuner.parameter_spec import ParameterSpec, unknown
+
+
+def node_sections(content: Mapping[Any, Any]) -> dict[str, dict[str, Any]]:
+    """Return the parameters of each node in a parameter file, by the node's name.
+
+    The section ``/**``, which is for all nodes, is left out. ``tuner``, ``/tuner`` and ``/**/tuner``
+    all are sections of the node ``tuner``.
+
+    Raises:
+        ParameterError: If a section does not hold ``ros__parameters`` alone.
+    """
+    sections: dict[str, dict[str, Any]] = {}
+    for key, section in content.items():
+        if key == "/**":
+            continue
+        if not isinstance(section, Mapping) or list(section) != ["ros__parameters"]:
+            raise ParameterError(
+                f"the section '{key}' must hold 'ros__parameters' and nothing else"
+            )
+        parameters = section["ros__parameters"]
+        if not isinstance(parameters, Mapping):
+            raise ParameterError(f"'ros__parameters' of the section '{key}' must be a mapping")
+        name = str(key).removeprefix("/**").removeprefix("/")
+        sections.setdefault(name, {}).update(parameters)
+    return sections
+
+
+def flat(section: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the parameters of a section as ROS names them: with a dot for each mapping around them."""
+    for name, value in section.items():
+        if isinstance(value, Mapping) and value:
+            yield from flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def check_section(
+    where: str, section: Mapping[str, Any], specs: Sequence[ParameterSpec]
+) -> dict[str, Any]:
+    """Check one node's parameters as they stand in a file; defaults fill what is not given.
+
+    Args:
+        where: Name of the section.
+        section: Parameters; those in a mapping have its name and a dot before theirs.
+        specs: Parameters of the node.
+
+    Raises:
+        ParameterError: If a parameter is unknown, of another type or not allowed.
+    """
+    given = dict(flat(section))
+    known = [spec.name for spec in specs]
+    for name in given:
+        if name not in known and name != "use_sim_time":
+            raise ParameterError(unknown(name, known, where))
+    return {
+        spec.name: spec.check(given.get(spec.name, spec.default), f"{where}.") for spec in specs
+    }
