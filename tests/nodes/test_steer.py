@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import pytest
 
+from mobo_tuner.nodes import steer
 from tests.support.processes import NodeProcess, NodeStarter, wait_until
 
 Start = Callable[..., NodeProcess]
@@ -15,28 +16,27 @@ ENDLESS = "100000"
 
 
 class Shell:
-    """The commands of an operator."""
+    """The commands of an operator; those that take long are processes."""
 
-    def __init__(self, start: NodeStarter) -> None:
+    def __init__(self, start: NodeStarter, output: pytest.CaptureFixture[str]) -> None:
         self._start = start
+        self._output = output
 
-    def begin(self, *words: str) -> NodeProcess:
-        """Start a command."""
-        return self._start("-u", "-m", "mobo_tuner.nodes.steer", *words)
-
-    def __call__(self, *words: str) -> str:
-        """Return what a command prints, which must succeed."""
-        process = self.begin(*words)
-        assert process.wait(60.0) == 0, process.stderr
-        return process.stdout
+    def __call__(self, *words: str, status: int = 0) -> str:
+        """Return what a command prints."""
+        assert steer.run(words) == status, self._output.readouterr().err
+        printed = self._output.readouterr()
+        return printed.err if status else printed.out
 
     def refused(self, *words: str) -> str:
         """Return the sentence of a command that is refused."""
-        process = self.begin(*words)
-        assert process.wait(60.0) == 1, process.stdout
-        [sentence] = process.stderr.splitlines()
+        [sentence] = self(*words, status=1).splitlines()
         assert sentence.startswith("refused: ")
         return sentence
+
+    def begin(self, *words: str) -> NodeProcess:
+        """Start a command as a process."""
+        return self._start("-u", "-m", "mobo_tuner.nodes.steer", *words)
 
     def tune(self) -> NodeProcess:
         """Start a run that does not end by itself."""
@@ -45,11 +45,16 @@ class Shell:
 
 
 @pytest.fixture
-def shell(start_node: NodeStarter, start_machine: Start, start_tuner: Start) -> Shell:
+def shell(
+    start_node: NodeStarter,
+    start_machine: Start,
+    start_tuner: Start,
+    capsys: pytest.CaptureFixture[str],
+) -> Shell:
     """A shell where a tuner and a machine of the toy problem are running."""
     start_machine()
     start_tuner("initial_evaluations:=4")
-    return Shell(start_node)
+    return Shell(start_node, capsys)
 
 
 def test_a_run_is_steered(shell: Shell) -> None:

@@ -8,7 +8,7 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from mobo_tuner.client import ErrorCode, Front, Movement, Status, TunerClient, TunerError
@@ -201,21 +201,27 @@ def make_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def main() -> None:
-    """Do one thing and print what came of it; end with 0, or with 1 and the reason."""
-    options = make_parser().parse_args()
-    for number in (signal.SIGTERM, signal.SIGHUP):  # which stop a move as Ctrl-C does
-        if signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, signal.default_int_handler)
+def run(arguments: Sequence[str]) -> int:
+    """Do one thing and print what came of it; return 0, or 1 after an error that is printed."""
+    options = make_parser().parse_args(arguments)
     try:
         with TunerClient(options.namespace) as client:
             print(VERBS[options.verb](client, options))
     except TunerError as error:
         print(f"refused: {error}" if error.code in REFUSALS else error, file=sys.stderr)
-        sys.exit(EXIT_ERROR)
+        return EXIT_ERROR
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
-        sys.exit(EXIT_INTERRUPTED)
+        return EXIT_INTERRUPTED
+    return 0
+
+
+def main() -> None:
+    """Do what the command line says; SIGTERM and a closed terminal stop a move as Ctrl-C does."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
+    sys.exit(run(sys.argv[1:]))
 
 
 def _counts(now: Status) -> str:

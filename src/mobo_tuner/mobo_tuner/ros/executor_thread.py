@@ -93,7 +93,7 @@ class ExecutorThread:
         """End the thread that spins, if it is this object's own."""
         self._closing.set()
         if self._thread is not None:
-            self._executor.wake()
+            self.post(lambda: None)  # ends the wait in `spin_once`, which `wake` does not
             self._thread.join(JOIN_TIMEOUT)
             self._executor.shutdown(timeout_sec=JOIN_TIMEOUT)
 
