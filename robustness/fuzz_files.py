@@ -11,6 +11,7 @@ import argparse
 import copy
 import json
 import math
+import shutil
 import signal
 import sys
 import tempfile
@@ -24,11 +25,13 @@ from typing import Any
 import numpy as np
 import yaml
 
-from awa_sim_node.describe import describe_file
+from awa_sim_node.describe import describe_file as describe_simulator
 from launcher.run_folder import RunFolder, RunFolderError
+from mobo_tuner.bridge.describe import describe_file as describe_bridge
 from mobo_tuner.bridge.mapping import load_mapping
+from mobo_tuner.displays.configuration import explanation
 from mobo_tuner.errors import UserError
-from mobo_tuner.nodes.check_config import check
+from mobo_tuner.nodes.check_config import check, copy_to
 from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import FILE_NAME, read_journal
 from mobo_tuner.runs.rebuild import records_of_bag, runs_of_bag
@@ -42,6 +45,7 @@ from robustness.lived_run import LivedRun, toy, toy_optimizer
 from robustness.synthetic_bag import write_bag
 
 ROOT = Path(__file__).resolve().parents[1]
+MACHINES = {"awa_sim": describe_simulator, "machine_bridge": describe_bridge}
 REFUSALS = (UserError, RunFolderError)
 TIME_LIMIT = 20  # [s] for one file
 LONGEST = 2000  # characters of an error message
@@ -101,6 +105,7 @@ class Fuzzer:
     def __init__(self, scratch: Path, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
         self._scratch = scratch
+        shutil.copy(ROOT / "config" / "bridge_foreign.yaml", scratch)
         self.report = Report()
         self._run = scratch / "run"
         run = LivedRun(self._run, toy_optimizer(3), toy, 3)
@@ -152,8 +157,12 @@ class Fuzzer:
     # ------------------------------------------------------------------ the readers
 
     def _configuration(self) -> None:
-        name = str(self._rng.choice(["awa.yaml", "toy.yaml"]))
-        check(self._altered_yaml(ROOT / "config" / name), {"awa_sim": describe_file})
+        name = str(self._rng.choice(["awa.yaml", "toy.yaml", "foreign.yaml"]))
+        configuration = check(self._altered_yaml(ROOT / "config" / name), MACHINES)
+        explanation(configuration)
+        copies = self._scratch / "copies"
+        copies.mkdir(exist_ok=True)
+        copy_to(copies, configuration)
 
     def _mapping(self) -> None:
         load_mapping(str(self._altered_yaml(ROOT / "config" / "bridge_foreign.yaml")))
