@@ -22,7 +22,7 @@ from launcher.processes import Interrupted
 from launcher.programs import CONSOLE, RECORDER, THREADS, TUNER, Project, open_project
 from launcher.ros_domain import RosDomain
 from launcher.run_folder import CONFIG_FILE, RunFolder, process_start
-from launcher.supervisor import Command, Launch, RunResult, Supervisor, interrupted
+from launcher.supervisor import Command, Conclusion, Launch, Supervisor, interrupted
 
 _RECORDED_VERSIONS = (
     "mobo_tuner",
@@ -40,9 +40,9 @@ _RECORDED_VERSIONS = (
 class UnsuccessfulRunError(LauncherError):
     """A run did not end well; the message is for the user."""
 
-    def __init__(self, result: RunResult) -> None:
-        super().__init__("\n".join((result.reason, *result.details)))
-        self.exit_status = result.exit_status
+    def __init__(self, conclusion: Conclusion) -> None:
+        super().__init__("\n".join((conclusion.reason, *conclusion.details)))
+        self.exit_status = conclusion.exit_status
 
 
 @dataclass(frozen=True)
@@ -286,18 +286,18 @@ def _carry_out(
         "evaluations": options.evaluations,
         "resume_from": resumed_from,
     }
-    result = RunResult("failed", "the run failed: mobo.py met an error of its own", 1)
+    conclusion = Conclusion("failed", "the run failed: mobo.py met an error of its own", 1)
     try:
         folder.record(facts)
-        result = _tune(project, checked, folder, domain, values)
+        conclusion = _tune(project, checked, folder, domain, values)
     except Interrupted as interruption:
-        result = interrupted(interruption)
+        conclusion = interrupted(interruption)
     finally:
-        facts |= {"state": result.state, "reason": result.reason, "ended": now()}
+        facts |= {"state": conclusion.state, "reason": conclusion.reason, "ended": now()}
         folder.record(facts)
         print(folder.path, flush=True)
-    if result.exit_status:
-        raise UnsuccessfulRunError(result)
+    if conclusion.exit_status:
+        raise UnsuccessfulRunError(conclusion)
 
 
 def _tune(
@@ -306,7 +306,7 @@ def _tune(
     folder: RunFolder,
     domain: RosDomain,
     values: Mapping[str, object],
-) -> RunResult:
+) -> Conclusion:
     """Run the nodes until the console is done, and make the report."""
     config, python = folder.path / CONFIG_FILE, project.environment.python
     commands = {}
@@ -334,27 +334,27 @@ def _tune(
     print(f"run {folder.run_id} in ROS domain {domain.id}; to join from another terminal:")
     print("  export " + " ".join(f"{k}={v}" for k, v in domain.environment.items()), flush=True)
     supervisor = Supervisor(project.processes, launch)
-    result = supervisor.run()
-    if folder.has_journal or result.state == "finished":
+    conclusion = supervisor.run()
+    if folder.has_journal or conclusion.state == "finished":
         failure = supervisor.report(
             [str(python), "-P", "-m", "mobo_tuner.runs.report", str(folder.path)]
         )
-        if failure and result.state == "finished":
-            return RunResult("failed", failure, 1)
-    if result.state == "finished":
+        if failure and conclusion.state == "finished":
+            return Conclusion("failed", failure, 1)
+    if conclusion.state == "finished":
         return _judge(folder)
-    return result
+    return conclusion
 
 
-def _judge(folder: RunFolder) -> RunResult:
+def _judge(folder: RunFolder) -> Conclusion:
     """Return what became of a run that came to its end: one without a valid evaluation failed."""
     summary = folder.summary()
     failed = summary.get("failed")
     if not failed or failed != summary.get("evaluations"):
-        return RunResult("finished")
+        return Conclusion("finished")
     reason = f"the run failed: all of its {failed} evaluations failed"
     last = folder.last_error()
-    return RunResult("failed", f"{reason}, the last one because {last}" if last else reason, 1)
+    return Conclusion("failed", f"{reason}, the last one because {last}" if last else reason, 1)
 
 
 def now() -> str:

@@ -25,7 +25,7 @@ _SENTENCE_LIMIT = 500  # characters of another program's last words that are rep
 
 
 @dataclass(frozen=True)
-class RunResult:
+class Conclusion:
     """What became of a run.
 
     Attributes:
@@ -83,7 +83,7 @@ class Supervisor:
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         self._deadline = float("inf")  # of everything, once a signal came
 
-    def run(self) -> RunResult:
+    def run(self) -> Conclusion:
         """Run to the end, whatever it is; every program has ended when this returns.
 
         Raises:
@@ -91,18 +91,18 @@ class Supervisor:
         """
         try:
             self._start()
-            result = self._watch()
+            conclusion = self._watch()
         except Interrupted as interruption:
-            result = self._interrupt(interruption)
+            conclusion = self._interrupt(interruption)
         foreground, last = self._launch.foreground, self._launch.last
         nodes = [name for name in self._running if name not in (foreground, last)]
         for names in ([foreground], nodes, [last]):
             try:
                 self._stop(names)
             except Interrupted as interruption:  # comes once, so that the second try is left alone
-                result = self._hurry(interruption)
+                conclusion = self._hurry(interruption)
                 self._stop(names)
-        return self._judge() if result.state == "finished" else result
+        return self._judge() if conclusion.state == "finished" else conclusion
 
     def report(self, command: Sequence[str]) -> str:
         """Run the program that makes the report.
@@ -141,7 +141,7 @@ class Supervisor:
                     stderr=log,
                 )
 
-    def _watch(self) -> RunResult:
+    def _watch(self) -> Conclusion:
         """Wait until the foreground ends, or a node dies and the foreground has had its chance."""
         foreground = self._running[self._launch.foreground]
         self._processes.wait_until(
@@ -153,13 +153,13 @@ class Supervisor:
             how = describe_status(self._running[dead].returncode)
             return self._failure(f"the {dead} node {how}", dead)
         if foreground.returncode == _CANCELED:
-            return RunResult("canceled", "the run was canceled by another client", _CANCELED)
+            return Conclusion("canceled", "the run was canceled by another client", _CANCELED)
         if foreground.returncode != 0:
             words = self._last_words(self._launch.foreground, foreground.returncode)
-            return RunResult("failed", f"the run failed: {words}", 1)
-        return RunResult("finished")
+            return Conclusion("failed", f"the run failed: {words}", 1)
+        return Conclusion("finished")
 
-    def _interrupt(self, interruption: Interrupted) -> RunResult:
+    def _interrupt(self, interruption: Interrupted) -> Conclusion:
         """Take the first signal: Ctrl-C lets the machine go back first, if it does; a second not."""
         foreground = self._running.get(self._launch.foreground)
         if self._launch.goes_back and interruption.number == signal.SIGINT and foreground:
@@ -172,7 +172,7 @@ class Supervisor:
                 interruption = another
         return self._hurry(interruption)
 
-    def _hurry(self, interruption: Interrupted) -> RunResult:
+    def _hurry(self, interruption: Interrupted) -> Conclusion:
         """From here on there is little time."""
         self._deadline = time.monotonic() + EXIT_LIMIT
         return interrupted(interruption)
@@ -184,20 +184,20 @@ class Supervisor:
             _HURRIED_PATIENCE if hurried else _STOP_PATIENCE,
         )
 
-    def _judge(self) -> RunResult:
-        """The result of a run that went well, unless a node did not end well."""
+    def _judge(self) -> Conclusion:
+        """The conclusion of a run that went well, unless a node did not end well."""
         for name, process in self._running.items():
             unhandled = name != self._launch.last and process.returncode in _UNHANDLED_SIGINT
             if process.returncode != 0 and not unhandled:
                 how = describe_status(process.returncode)
                 return self._failure(f"the {name} node {how} when the run was over", name)
-        return RunResult("finished")
+        return Conclusion("finished")
 
-    def _failure(self, what: str, name: str) -> RunResult:
+    def _failure(self, what: str, name: str) -> Conclusion:
         log = self._launch.log(name)
         tail = [f"    {line}" for line in _lines(log)[-_LOG_TAIL:]]
         details = (f"    the end of {log}:", *tail) if tail else ()
-        return RunResult("failed", f"the run failed: {what}", 1, details)
+        return Conclusion("failed", f"the run failed: {what}", 1, details)
 
     def _dead_node(self) -> str | None:
         """The first node found dead, if any."""
@@ -212,9 +212,9 @@ class Supervisor:
         return lines[-1][:_SENTENCE_LIMIT] if lines else f"the {name} {describe_status(status)}"
 
 
-def interrupted(interruption: Interrupted) -> RunResult:
-    """The result of a run that a signal cut short."""
-    return RunResult("interrupted", f"the run was {interruption}", interruption.exit_status)
+def interrupted(interruption: Interrupted) -> Conclusion:
+    """The conclusion of a run that a signal cut short."""
+    return Conclusion("interrupted", f"the run was {interruption}", interruption.exit_status)
 
 
 def _lines(log: Path) -> list[str]:

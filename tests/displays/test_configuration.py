@@ -8,11 +8,12 @@ import pytest
 
 from mobo_tuner.core.problem import Problem
 from mobo_tuner.displays.configuration import Configuration, explanation
-from mobo_tuner.machine.description import MachineDescription, Variable
-from mobo_tuner.parameter_file import check_section
-from mobo_tuner.tuner.parameters import TUNER
+from mobo_tuner.machine.description import MachineDescription, VariableLimits
+from mobo_tuner.tuner.parameters import check_tuner
 
-MACHINE = MachineDescription("injector", {"K1": Variable(0.0, 900.0, "A")}, {"dE": "MeV"}, 12.0)
+MACHINE = MachineDescription(
+    "injector", {"K1": VariableLimits(0.0, 900.0, "A")}, {"dE": "MeV"}, 12.0
+)
 PROBLEM = {
     "variables": {"K1": {"min": 400.0, "max": 550.0, "unit": "A"}},
     "objectives": {
@@ -29,7 +30,7 @@ PROBLEM = {
 
 
 def explained(problem: dict[str, Any] = PROBLEM, **changes: Any) -> str:
-    tuner = check_section("tuner", changes.pop("tuner", {}), TUNER)
+    tuner = check_tuner(changes.pop("tuner", {}))
     facts = {"section": "awa_sim", "machine": MACHINE, "program": ""} | changes
     return "\n".join(
         explanation(Configuration("my.yaml", Problem.from_dict(problem), tuner, **facts))
@@ -48,6 +49,7 @@ def explained(problem: dict[str, Any] = PROBLEM, **changes: Any) -> str:
         ("halo", "at most 0.1 mm"),
         ("energy", "10 to 12"),
         ("temperature [K]",),
+        ("preset default", "ehvi"),
         ("60 evaluations",),
         ("on_abort: hold",),
         ("on_violation: hold",),

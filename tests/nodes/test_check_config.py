@@ -15,7 +15,7 @@ import yaml
 
 from mobo_tuner.errors import UserError
 from mobo_tuner.files import load_yaml
-from mobo_tuner.machine.description import DescriptionError, MachineDescription, Variable
+from mobo_tuner.machine.description import DescriptionError, MachineDescription, VariableLimits
 from mobo_tuner.nodes import check_config
 from mobo_tuner.nodes.check_config import copy_to, describe_by
 
@@ -116,7 +116,7 @@ def test_the_mapping_of_a_bridge_is_relative_to_the_parameter_file(
     machine = check(written(foreign, tmp_path / "foreign.yaml")).machine
     assert machine is not None
     assert machine.name == "foreign machine"
-    assert machine.variables == {"x1": Variable(-2.0, 2.0), "x2": Variable(-2.0, 2.0)}
+    assert machine.variables == {"x1": VariableLimits(-2.0, 2.0), "x2": VariableLimits(-2.0, 2.0)}
     assert machine.files == {"mapping": str(tmp_path / "mappings" / "lab.yaml")}
 
 
@@ -187,7 +187,7 @@ def test_what_is_not_a_description_is_refused(text: str) -> None:
 
 def test_a_description_is_read_as_it_was_written() -> None:
     machine = MachineDescription(
-        "a", {"x": Variable(-1.0, 2.5, "mm")}, {"f": "MeV"}, 0.25, {"mapping": "/lab/m.yaml"}
+        "a", {"x": VariableLimits(-1.0, 2.5, "mm")}, {"f": "MeV"}, 0.25, {"mapping": "/lab/m.yaml"}
     )
     assert MachineDescription.from_json(machine.to_json()) == machine
 

@@ -13,7 +13,7 @@ from awa_sim_node.machine import (
     Cause,
     EvaluationResult,
     InterlockError,
-    MachineDescription,
+    ModelDescription,
     Shot,
     SimulatedMachine,
 )
@@ -52,7 +52,7 @@ class SimulatedBackend(MachineBackend):
     def __init__(
         self,
         node: Node,
-        description: MachineDescription,
+        description: ModelDescription,
         speed: float,
         now: Callable[[], float] = time.monotonic,
     ) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
-from awa_sim_node.machine import MachineDescription, Shot
+from awa_sim_node.machine import ModelDescription, Shot
 from mobo_msgs_py import msg
 from mobo_tuner.ros.conversions import named_values
 from mobo_tuner.ros.qos import LATCHED, STREAM
@@ -22,7 +22,7 @@ class BeamTopics:
         with_truth: Whether to publish the topic `truth`.
     """
 
-    def __init__(self, node: Node, description: MachineDescription, with_truth: bool) -> None:
+    def __init__(self, node: Node, description: ModelDescription, with_truth: bool) -> None:
         self._node = node
         self._units = {v.name: v.unit for v in description.variables}
         self._units |= {d.name: d.unit for d in description.diagnostics}

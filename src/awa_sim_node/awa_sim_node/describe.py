@@ -13,7 +13,7 @@ from awa_sim_node.machine.models import kinds_of
 from awa_sim_node.parameters import AWA_SIM, behaviour_specs
 from mobo_tuner.errors import ParameterError
 from mobo_tuner.files import load_yaml
-from mobo_tuner.machine.description import MachineDescription, Variable, print_description
+from mobo_tuner.machine.description import MachineDescription, VariableLimits, print_description
 from mobo_tuner.parameter_file import check_section, node_sections
 
 NODE = "awa_sim"
@@ -47,7 +47,7 @@ def describe_section(given: Mapping[str, Any]) -> MachineDescription:
     machine = describe(model)
     return MachineDescription(
         name=machine.title,
-        variables={v.name: Variable(v.minimum, v.maximum, v.unit) for v in machine.variables},
+        variables={v.name: VariableLimits(v.minimum, v.maximum, v.unit) for v in machine.variables},
         diagnostics={d.name: d.unit for d in machine.diagnostics},
         evaluation_seconds=_typical_duration(model, behaviour) / float(values["speed"]),
     )

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 from awa_sim_node.machine.behaviour import AWA, Behaviour, Mode
-from awa_sim_node.machine.description import Diagnostic, MachineDescription, Variable
+from awa_sim_node.machine.description import Diagnostic, ModelDescription, Variable
 from awa_sim_node.machine.diagnostics import ShotNoise
 from awa_sim_node.machine.kind import Kind
 from awa_sim_node.machine.models import Model
@@ -17,7 +17,7 @@ START = {"current": 100.0, "phase": 10.0, "other_phase": -10.0, "gradient": 70.0
 class EchoModel(Model):
     """Its diagnostics are its inputs, and a transmission that falls with the current over 150 A."""
 
-    description = MachineDescription(
+    description = ModelDescription(
         name="echo",
         title="a machine that measures its own inputs",
         variables=(

@@ -2,7 +2,7 @@
 
 from awa_sim_node.machine.beam import Shot, ShotStatus
 from awa_sim_node.machine.behaviour import Behaviour, Mode
-from awa_sim_node.machine.description import Diagnostic, MachineDescription, Variable
+from awa_sim_node.machine.description import Diagnostic, ModelDescription, Variable
 from awa_sim_node.machine.diagnostics import Reading
 from awa_sim_node.machine.evaluation import (
     Cause,
@@ -25,9 +25,9 @@ __all__ = [
     "EvaluationFailure",
     "EvaluationResult",
     "InterlockError",
-    "MachineDescription",
     "Mode",
     "Model",
+    "ModelDescription",
     "Phase",
     "Reading",
     "Shot",

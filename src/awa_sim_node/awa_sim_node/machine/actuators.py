@@ -9,7 +9,7 @@ import numpy as np
 
 from awa_sim_node.machine.actuator import INSTANTANEOUS, Actuator
 from awa_sim_node.machine.behaviour import Behaviour
-from awa_sim_node.machine.description import MachineDescription, Variable
+from awa_sim_node.machine.description import ModelDescription, Variable
 from awa_sim_node.machine.kind import Kind
 
 
@@ -17,7 +17,7 @@ class Actuators:
     """All actuators of a machine by the names of their variables, in the machine's order."""
 
     def __init__(
-        self, description: MachineDescription, kinds: Mapping[str, Kind], behaviour: Behaviour
+        self, description: ModelDescription, kinds: Mapping[str, Kind], behaviour: Behaviour
     ) -> None:
         """Create the actuators at rest at the initial set-point.
 

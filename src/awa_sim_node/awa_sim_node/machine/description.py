@@ -38,7 +38,7 @@ class Diagnostic:
 
 
 @dataclass(frozen=True)
-class MachineDescription:
+class ModelDescription:
     """Static description of a machine.
 
     Attributes:

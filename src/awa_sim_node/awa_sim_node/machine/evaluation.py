@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from awa_sim_node.machine.beam import Shot, ShotStatus
-from awa_sim_node.machine.description import MachineDescription
+from awa_sim_node.machine.description import ModelDescription
 from awa_sim_node.machine.diagnostics import Reading
 from mobo_tuner.machine.averaging import average
 
@@ -133,7 +133,7 @@ class Evaluation:
 
     def finish(
         self,
-        description: MachineDescription,
+        description: ModelDescription,
         phase: Phase,
         failure: EvaluationFailure | None,
         where: dict[str, float],
@@ -164,7 +164,7 @@ class Evaluation:
         )
         self.phase = phase
 
-    def verdict(self, description: MachineDescription) -> EvaluationFailure | None:
+    def verdict(self, description: ModelDescription) -> EvaluationFailure | None:
         """Return the failure if the completed shots do not form a valid measurement, else None."""
         missing = [
             diagnostic.name

@@ -14,7 +14,7 @@ import numpy as np
 from awa_sim_node.machine.actuators import Actuators
 from awa_sim_node.machine.beam import Beam, Shot, ShotStatus
 from awa_sim_node.machine.behaviour import Behaviour, Mode
-from awa_sim_node.machine.description import MachineDescription
+from awa_sim_node.machine.description import ModelDescription
 from awa_sim_node.machine.evaluation import Cause, Evaluation, EvaluationFailure, Phase
 from awa_sim_node.machine.interlock import Interlock
 from awa_sim_node.machine.models import Model, create_model
@@ -84,7 +84,7 @@ class SimulatedMachine:
         self._on_shot: Callable[[Shot], None] | None = None
 
     @property
-    def description(self) -> MachineDescription:
+    def description(self) -> ModelDescription:
         """Names, units and limits of this machine."""
         return self._model.description
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import ClassVar, Final
 
 from awa_sim_node.machine.behaviour import AWA, TOY, Behaviour, Mode
-from awa_sim_node.machine.description import Diagnostic, MachineDescription, Variable
+from awa_sim_node.machine.description import Diagnostic, ModelDescription, Variable
 from awa_sim_node.machine.diagnostics import ShotNoise
 from awa_sim_node.machine.kind import Kind
 from awa_sim_node.surrogate import metadata
@@ -27,7 +27,7 @@ class Model(ABC):
         modes: Behaviour of the machine in each mode.
     """
 
-    description: ClassVar[MachineDescription]
+    description: ClassVar[ModelDescription]
     kinds: ClassVar[Mapping[str, Kind]]
     ranges: ClassVar[Mapping[str, tuple[float, float]]] = {}
     noise: ClassVar[Mapping[str, ShotNoise]]
@@ -52,7 +52,7 @@ class AwaModel(Model):
     machine, not variables.
     """
 
-    description = MachineDescription(
+    description = ModelDescription(
         name="awa",
         title="AWA-like photoinjector: gun, two solenoids, one linac cavity, screen at 3.1 m",
         variables=tuple(
@@ -130,7 +130,7 @@ class ToyModel(Model):
     for the constrained case. Its actuators are instantaneous.
     """
 
-    description = MachineDescription(
+    description = ModelDescription(
         name="toy",
         title="toy problem: the distances to (1, 1) and to (-1, -1)",
         variables=tuple(Variable(name, "", -_TOY_LIMIT, _TOY_LIMIT, 0.0) for name in ("x1", "x2")),
@@ -156,7 +156,7 @@ _MODELS: Final[Mapping[str, type[Model]]] = {
 MODEL_NAMES: Final = tuple(_MODELS)
 
 
-def describe(name: str) -> MachineDescription:
+def describe(name: str) -> ModelDescription:
     """Return the description of the machine called ``name``, without loading its model.
 
     Raises:

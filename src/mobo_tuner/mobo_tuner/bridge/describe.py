@@ -10,7 +10,7 @@ from pathlib import Path
 from mobo_tuner.bridge.mapping import MachineMapping, load_mapping
 from mobo_tuner.errors import ParameterError
 from mobo_tuner.files import load_yaml
-from mobo_tuner.machine.description import MachineDescription, Variable, print_description
+from mobo_tuner.machine.description import MachineDescription, VariableLimits, print_description
 from mobo_tuner.machine.ramp import count_steps
 from mobo_tuner.parameter_file import check_section, node_sections
 from mobo_tuner.parameter_spec import AUTOSTART, ParameterSpec
@@ -41,7 +41,7 @@ def describe_file(path: Path) -> MachineDescription:
     return MachineDescription(
         name=mapping.name,
         variables={
-            v.name: Variable(v.minimum, v.maximum, v.unit) for v in mapping.variables.values()
+            v.name: VariableLimits(v.minimum, v.maximum, v.unit) for v in mapping.variables.values()
         },
         diagnostics={d.name: d.unit for d in mapping.diagnostics.values()},
         evaluation_seconds=_typical_duration(mapping),

@@ -55,6 +55,7 @@ def explanation(configuration: Configuration) -> list[str]:
         _quantity(o.name, f"[{o.unit}]" if o.unit else "") for o in problem.observables
     )
     lines += _entry("observables", [observables or "none"])
+    lines += _entry("method", [_method(configuration.tuner)])
     lines += _entry("budget", [_budget(configuration.tuner)])
     lines += _entry("at the end", _ends(configuration))
     lines += _entry("time", [_time(configuration)])
@@ -97,6 +98,10 @@ def _constraint(constraint: Constraint) -> tuple[str, str]:
         text = f"at least {low:g}" if math.isfinite(low) else f"at most {high:g}"
     critical = ", critical: one shot beyond it ends the evaluation" if constraint.critical else ""
     return constraint.name, _quantity(text, constraint.unit) + critical
+
+
+def _method(tuner: Mapping[str, Any]) -> str:
+    return f"preset {tuner['preset']}, acquisition function {tuner['acquisition']}"
 
 
 def _budget(tuner: Mapping[str, Any]) -> str:

@@ -29,7 +29,7 @@ class DescriptionError(UserError):
 
 
 @dataclass(frozen=True)
-class Variable:
+class VariableLimits:
     """One setting of a machine: its hard limits in `unit`."""
 
     minimum: float
@@ -50,7 +50,7 @@ class MachineDescription:
     """
 
     name: str
-    variables: Mapping[str, Variable]
+    variables: Mapping[str, VariableLimits]
     diagnostics: Mapping[str, str]
     evaluation_seconds: float | None = None
     files: Mapping[str, str] = field(default_factory=dict)
@@ -83,7 +83,7 @@ class MachineDescription:
             return cls(
                 name=str(content["name"]),
                 variables={
-                    str(name): Variable(
+                    str(name): VariableLimits(
                         _finite(item["min"]), _finite(item["max"]), str(item.get("unit", ""))
                     )
                     for name, item in content["variables"].items()
