@@ -12,7 +12,6 @@ from mobo_tuner.core.pareto import (
     is_below,
     is_nondominated,
     pareto_front,
-    project_onto_box,
 )
 
 
@@ -75,12 +74,6 @@ def test_below_is_strict() -> None:
 def test_front_leaves_out_what_is_not_below_the_reference() -> None:
     points = [[0.5, 0.5], [0.0, 1.0], [0.6, 0.6], [0.9, 0.1]]
     np.testing.assert_array_equal(pareto_front(points, [1.0, 1.0]), [[0.5, 0.5], [0.9, 0.1]])
-
-
-def test_projection_onto_the_truncation_box() -> None:
-    points = [[-1.0, 0.5], [0.5, 2.0], [0.2, 0.3], [np.nan, 0.0]]
-    projected = project_onto_box(points, [0.0, 0.4], [1.0, 1.0])
-    np.testing.assert_array_equal(projected, [[0.0, 0.5], [0.2, 0.4]])
 
 
 @pytest.mark.parametrize("points", [[1.0, 2.0], np.zeros((2, 2, 2)), np.zeros((2, 0))])

@@ -11,7 +11,7 @@ normal distribution of y. A truncation box [A, B] limits the expectation to y in
 reference point of the decomposition, and G_j counts only y_j >= A_j. As in the paper, predictions
 below A do not count; moving them up to A instead would count them in full. Moving the *front* up to
 A (the paper's projection) has no effect for y in [A, B], and only changes the hypervolume of the
-front: `mobo_tuner.core.pareto.project_onto_box`.
+front.
 
 .. [Lacour2017] R. Lacour, K. Klamroth, C. M. Fonseca, "A box decomposition algorithm to compute
    the hypervolume indicator", Computers & Operations Research 79, 347-360 (2017).

@@ -91,14 +91,3 @@ def pareto_front(points: ArrayLike, reference: ArrayLike) -> FloatArray:
     points = as_points(points, "points", len(np.asarray(reference)))
     below = points[is_below(points, reference)]
     return below[is_nondominated(below)]
-
-
-def project_onto_box(points: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> FloatArray:
-    """Project points onto the truncation box [A, B], as for the truncated hypervolume.
-
-    A point that is not strictly below B dominates nothing inside the box and is dropped; components
-    of the others that are below A are moved up to A: `(n, P) -> (k, P)` with k <= n.
-    See the text after Eq. (6) of `[Roussel2021]_`.
-    """
-    points = as_points(points, "points", len(np.asarray(upper)))
-    return np.maximum(points[is_below(points, upper)], np.asarray(lower, dtype=np.float64))

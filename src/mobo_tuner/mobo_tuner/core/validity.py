@@ -27,6 +27,8 @@ from mobo_tuner.core.linear_algebra import (
 from mobo_tuner.core.posterior import RELATIVE_JITTER, TriangularPosterior
 from mobo_tuner.core.training import train_lbfgs
 
+# Whatever the kernel of the models: the priors below are those of its length-scales.
+_KERNEL = Matern52
 _LENGTH_SCALE_PRIOR = (float(np.log(2.0)), 1.0)
 _VARIANCE_PRIOR = (float(np.log(50.0)), 1.2)
 _VARIANCE_BOUNDS = (float(np.log(0.1)), float(np.log(1e4)))
@@ -83,7 +85,7 @@ class ValidityModel:
         self._posterior = None
         if outcomes.all():
             return self
-        kernel = Matern52(self._d)
+        kernel = _KERNEL(self._d)
         with single_blas_thread():
             if self._parameters is None or len(outcomes) >= _TRAINING_GROWTH * self._trained:
                 likelihood = _LaplaceLikelihood(kernel, inputs, outcomes)
@@ -184,7 +186,7 @@ class ValidityModel:
             raise ValueError("valid must be all true, as in the state's evaluations")
         with single_blas_thread():
             model._posterior = _LaplacePosterior(
-                Matern52(state["d"]), model._parameters, inputs, outcomes
+                _KERNEL(state["d"]), model._parameters, inputs, outcomes
             )
         return model
 

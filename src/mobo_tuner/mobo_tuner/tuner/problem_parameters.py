@@ -9,6 +9,7 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 
 from mobo_tuner.core.problem import SECTIONS, Problem, ProblemError
+from mobo_tuner.parameter_spec import NULL
 
 _DESCRIPTIONS = {
     ("variables", "min"): "lower bound of the search",
@@ -48,7 +49,8 @@ class ProblemParameters:
             given: Mapping[str, Any] = node.get_parameters_by_prefix(section)
             for key, parameter in given.items():
                 name = f"{section}.{key}"
-                self._values[name] = _plain(parameter.value)
+                if not _is_unset(parameter.value):
+                    self._values[name] = _plain(parameter.value)
                 node.set_descriptor(name, _descriptor(name))
         self.problem = Problem.from_dict(_nested(self._values))
         for section, leaves in WRITABLE.items():
@@ -68,16 +70,25 @@ class ProblemParameters:
         Raises:
             ProblemError: they do not make up a problem.
         """
-        for name, value in changes.items():
-            if value is None:
-                raise ProblemError(f"{name} cannot be unset; give it another value")
-        changed = {name: _plain(value) for name, value in changes.items()}
-        return Problem.from_dict(_nested({**self._values, **changed}))
+        return Problem.from_dict(_nested(self._with(changes)))
 
     def accept(self, changes: Mapping[str, Any]) -> None:
         """Some parameters were set."""
         self.problem = self.with_changes(changes)
-        self._values.update({name: _plain(value) for name, value in changes.items()})
+        self._values = self._with(changes)
+
+    def _with(self, changes: Mapping[str, Any]) -> dict[str, Any]:
+        """The values with some set, or unset by null."""
+        for name, value in changes.items():
+            if value is None:
+                raise ProblemError(f"{name} cannot be deleted; '{NULL}' unsets it")
+        values = {**self._values, **{name: _plain(value) for name, value in changes.items()}}
+        return {name: value for name, value in values.items() if not _is_unset(value)}
+
+
+def _is_unset(value: Any) -> bool:
+    """Whether a parameter has no value: a leaf that was declared only, or the text of null."""
+    return value is None or (isinstance(value, str) and value == NULL)
 
 
 def _descriptor(name: str) -> ParameterDescriptor:
