@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 import yaml
+from rclpy.node import Node
 
 from mobo_msgs_py import msg
-from mobo_msgs_py.action import EvaluateSetpoint
+from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_msgs_py.srv import Ask, Tell
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.core.settings import method_of
@@ -17,7 +18,7 @@ from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import read_journal
 from mobo_tuner.runs.replay import compare
 from tests.support.processes import NodeProcess, NodeStarter
-from tests.support.tuner import CONFIG, Services, toy_values
+from tests.support.tuner import CONFIG, GoalClient, Services, toy_machine, toy_values
 
 CHOSEN = {
     "initial_evaluations": 4,
@@ -64,6 +65,26 @@ def test_a_tuner_asks_what_the_core_asks_with_the_same_choices(
     history = History.from_records(read_journal(journal.parent))
     assert method_of(history.settings) == oracle.settings
     assert not any(comparison.differs for comparison in compare(history))
+
+
+def test_a_resumed_run_keeps_the_method_of_its_journal(
+    start_tuner: Callable[..., NodeProcess], client: GoalClient, node: Node, tmp_path: Path
+) -> None:
+    toy_machine(node)
+    first = start_tuner("initial_evaluations:=3", "kernel:=rbf", "maximizer_settings.steps:=2")
+    client.send(Tune.Goal(run_id="first", evaluations=5))
+    assert client.wait().error_code == Tune.Result.NONE
+    assert first.stop() == 0
+    start_tuner("kernel:=rbf_full", "preset:=paper")
+    client.send(Tune.Goal(run_id="second", evaluations=7, resume_from="first"))
+    result = client.wait()
+    assert (result.error_code, result.evaluations) == (Tune.Result.NONE, 7)
+    earlier, later = (
+        History.from_records(read_journal(tmp_path / "runs" / name)) for name in ("first", "second")
+    )
+    assert method_of(later.settings) == method_of(earlier.settings)
+    assert method_of(later.settings).maximizer_settings["steps"] == 2
+    assert not any(comparison.differs for comparison in compare(later))
 
 
 @pytest.mark.parametrize(
