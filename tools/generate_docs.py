@@ -140,7 +140,7 @@ def parameters() -> str:
         "| `variables.<name>.min`, `.max` * | number, needed | bounds of the search, within the machine's limits |",
         "| `variables.<name>.unit` | text | must agree with the machine's |",
         "| `variables.<name>.cost` * | number >= 0, 1.0 | relative cost of changing it, for proximal biasing |",
-        "| `objectives.<name>.reference` * | number, needed | component of the reference point |",
+        "| `objectives.<name>.reference` * | number | component of the reference point; inferred if left out |",
         "| `objectives.<name>.direction` | minimize or maximize | what is wanted; minimize unless said |",
         "| `objectives.<name>.truncation` * | two numbers [A, B] | side of the truncation box; holds the reference |",
         "| `objectives.<name>.invalid` | numbers, [] | readings that stand for none; of other diagnostics, too |",

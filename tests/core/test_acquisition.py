@@ -179,7 +179,6 @@ def test_zero_is_minus_infinity_with_a_zero_gradient() -> None:
     near = ProximalBiasing(np.zeros(3), 1.0)
     for function in (
         UpperConfidenceBoundHypervolumeImprovement(objectives, decomposition, 0.01),
-        ExpectedHypervolumeImprovement(objectives, decomposition),
         UpperConfidenceBound(objectives[0], 0.01, -9.0),
     ):
         for each in (function, function * near, near * function):

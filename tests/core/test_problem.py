@@ -102,7 +102,7 @@ def test_a_ros_parameter_file_and_the_bare_mapping_give_the_same(tmp_path: Path)
         ("variables.K 1", {"min": 0, "max": 1}, "'K 1' in 'variables' is no name"),
         ("variables.K__1", {"min": 0, "max": 1}, "'K__1' in 'variables' is no name"),
         ("variables.eps_x", {"min": 0, "max": 1}, "'eps_x' is a variable and an objective"),
-        ("objectives.eps_x.reference", ..., "objectives.eps_x.reference is missing"),
+        ("objectives.energy.reference", ..., "objectives.energy.reference is missing"),
         ("objectives.eps_x.direction", "down", "'minimize' and 'maximize' are allowed"),
         ("objectives.energy.reference", 9.0, "outside its truncation box \\[10, 20\\]"),
         ("objectives.energy.truncation", [20, 10], "upside down"),

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 _LOG_DENSITY_AT_ZERO = -0.5 * math.log(2.0 * math.pi)
 _SERIES_BELOW = -100.0
+_LOST_BELOW = -650.0  # a logarithm: what is less is lost to underflow, wholly or in part
 
 
 class Model(Protocol):
@@ -155,6 +156,7 @@ class Knowledge:
         front: Callable that builds and returns the boxes below the reference point that the
             evaluations do not dominate.
         truncation: Truncation box (A, B), `(P,)` each, with B the reference point; or None.
+        tails: Whether improvements that underflow are needed, see `ExpectedHypervolumeImprovement`.
     """
 
     models: tuple[Model, ...]
@@ -163,6 +165,7 @@ class Knowledge:
     beta: float
     front: Callable[[], BoxDecomposition]
     truncation: tuple[FloatArray, FloatArray] | None = None
+    tails: bool = True
 
 
 class ObjectiveAcquisition(AcquisitionFunction):
@@ -345,6 +348,7 @@ class ExpectedHypervolumeImprovement(_HypervolumeAcquisition):
         models: Sequence[Model],
         decomposition: BoxDecomposition,
         truncation: tuple[ArrayLike, ArrayLike] | None = None,
+        tails: bool = True,
     ) -> None:
         """Set models and front.
 
@@ -353,21 +357,30 @@ class ExpectedHypervolumeImprovement(_HypervolumeAcquisition):
             decomposition: Decomposition for the front; points added to it later also count.
             truncation: Truncation box (A, B), `(P,)` each, inside which a prediction counts. B must
                 be the reference point of `decomposition`; A may contain minus infinity.
+            tails: Whether improvements that underflow are computed in logarithms, which takes a few
+                times as long; without it they count as zero.
 
         Raises:
             ValueError: If the numbers of objectives differ or the box is not allowed.
         """
         super().__init__(models, decomposition, truncation)
+        self._lost_below = _LOST_BELOW if tails else -math.inf
 
     @classmethod
     def of(cls, knowledge: Knowledge) -> Self:
         """Return the expected improvement of the front so far."""
-        return cls(knowledge.models, knowledge.front(), knowledge.truncation)
+        return cls(knowledge.models, knowledge.front(), knowledge.truncation, knowledge.tails)
 
     def log_value_from(self, predictions: Predictions) -> FloatArray:
         """Return log alpha `(m,)`."""
         mean, stddev = self._moments(predictions)
-        return _log(self._decomposition.expected_improvement(mean, stddev, self._lower))
+        log_value = _log(self._decomposition.expected_improvement(mean, stddev, self._lower))
+        lost = log_value < self._lost_below
+        if lost.any():
+            log_value[lost] = self._decomposition.log_expected_improvement_with_gradient(
+                mean[lost], stddev[lost], self._lower
+            )[0]
+        return log_value
 
     def log_value_with_gradient_from(
         self, predictions: Predictions
@@ -379,7 +392,17 @@ class ExpectedHypervolumeImprovement(_HypervolumeAcquisition):
         )
         gradient = np.einsum("mp,mpd->md", by_mean, mean_gradient)
         gradient += np.einsum("mp,mpd->md", by_stddev, stddev_gradient)
-        return _log_with_gradient(value, gradient)
+        log_value, gradient = _log_with_gradient(value, gradient)
+        lost = log_value < self._lost_below
+        if lost.any():
+            log_value[lost], by_mean, by_stddev = (
+                self._decomposition.log_expected_improvement_with_gradient(
+                    mean[lost], stddev[lost], self._lower
+                )
+            )
+            gradient[lost] = np.einsum("mp,mpd->md", by_mean, mean_gradient[lost])
+            gradient[lost] += np.einsum("mp,mpd->md", by_stddev, stddev_gradient[lost])
+        return log_value, gradient
 
 
 @ACQUISITION_FUNCTIONS.register("ucb_hvi")

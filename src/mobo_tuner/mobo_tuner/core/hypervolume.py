@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mobo_tuner.core import box_sums, box_tree
+from mobo_tuner.core import box_sums, box_tree, log_box_sums
 from mobo_tuner.core.box_tree import BoxTree
 from mobo_tuner.core.pareto import FloatArray, as_points, is_below, is_nondominated
 
@@ -217,6 +217,20 @@ class BoxDecomposition:
             *self._moments(mean, stddev), lower, with_gradient=True
         )
         return improvements, gradients[:, :, 0], gradients[:, :, 1]
+
+    def log_expected_improvement_with_gradient(
+        self, mean: ArrayLike, stddev: ArrayLike, lower: ArrayLike | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the logarithm of `expected_improvement` and its gradients, finite at any distance.
+
+        It costs about twice as much, and is minus infinity only where certain predictions improve
+        nothing or where the truncation box is beyond all precision.
+        """
+        mean, stddev = self._moments(mean, stddev)
+        log_improvements, gradients = log_box_sums.log_expected_improvements(
+            self._tree, self._levels[: self._n_levels], mean, stddev, self._floor(lower)
+        )
+        return log_improvements, gradients[:, :, 0], gradients[:, :, 1]
 
     def _expected(
         self,

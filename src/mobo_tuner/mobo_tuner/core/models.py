@@ -56,7 +56,12 @@ class Models:
         self._means = {n: self._mean_function(n, f) for n, f in (prior_means or {}).items()}
         process = settings.gaussian_process
         self._processes = {
-            o.name: GaussianProcess(process, o.sign * o.reference, mean=self._means.get(o.name))
+            o.name: GaussianProcess(
+                process,
+                # One that is not inferred yet: no model is used before it is.
+                o.sign * o.reference if math.isfinite(o.reference) else 0.0,
+                mean=self._means.get(o.name),
+            )
             for o in problem.objectives
         }
         # A constrained diagnostic has no reference point; its mean is that of the data.

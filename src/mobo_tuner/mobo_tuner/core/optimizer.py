@@ -30,6 +30,7 @@ from mobo_tuner.core.dataset import BoolArray, Dataset, Evaluation, Measured
 from mobo_tuner.core.exploration import explore
 from mobo_tuner.core.focus import around, choose_on_front
 from mobo_tuner.core.gaussian_process import GaussianProcess
+from mobo_tuner.core.hints import hints, nearest_to_reference
 from mobo_tuner.core.hypervolume import BoxDecomposition, hypervolume
 from mobo_tuner.core.initial_design import initial_design
 from mobo_tuner.core.linear_algebra import single_blas_thread
@@ -50,6 +51,7 @@ FAILED_TOLERANCE = 0.02
 # A set-point within 0.05 % of every variable's range of a measured one must promise something new.
 _NEAR = 1e-3
 _ALIKE = 0.05  # range of a constraint's readings, as a share of what they lack
+_HOPELESS = 1e-4  # expected improvement of each objective, as a share of its spread
 _SKILL = 0.5  # least share of their variance that a model must explain to be followed
 
 
@@ -87,19 +89,25 @@ class Optimizer:
         if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
             raise ProblemError(f"seed is {seed!r}; a whole number of at least 0 is allowed")
         self.problem = problem
+        self._given = problem  # before what it left out was inferred
         self.seed = seed
         self.settings = make_settings(preset, overrides)
         self.settings.check_problem(problem)
         self.dataset = Dataset(problem)
         self._prior_means = prior_means
         self._models = Models(problem, self.settings, seed, prior_means)
-        self._boxes = BoxDecomposition(problem.reference_point)
+        self._boxes = _no_boxes(problem)
         self._packed = 0  # number of evaluations when the boxes were last built again
         self._hypervolume = 0.0
         self._belief: Belief | None = None  # of all that was told, once it was needed
         self._believed_hypervolume: float | None = None
         self._last_source: Source = "initial"
         self._told: set[str] = set()  # outputs that were told, or are known to be misspelt
+
+    @property
+    def given_problem(self) -> Problem:
+        """The problem as it was given; that of `problem` has what its reference point left out."""
+        return self._given
 
     @property
     def initial_evaluations(self) -> int:
@@ -117,7 +125,7 @@ class Optimizer:
 
         It is that of what is believed: readings where they can be trusted, else the models' means.
         """
-        if is_certain(self.dataset):
+        if is_certain(self.dataset) or not self.problem.has_references:
             return self._hypervolume
         if self._believed_hypervolume is None:
             belief = self._believed()
@@ -186,7 +194,9 @@ class Optimizer:
         evaluation = self.dataset.add(setpoint, outputs, readbacks, failed)
         self._forget_belief()
         self._warn_of_misspelt(outputs)
-        if evaluation.feasible:
+        if not self.problem.has_references:
+            self._infer_references()
+        elif evaluation.feasible:
             # A sum of gains never falls, unlike a volume computed again, by its last digit.
             self._hypervolume += self._boxes.add(self._minimised(evaluation))
         return evaluation
@@ -212,11 +222,29 @@ class Optimizer:
         self.dataset.unforget(index, name)
         self._learn_again()
 
+    def _infer_references(self) -> None:
+        """Fill in what the reference point lacks, once and for all, when the initial design is done."""
+        data = self.dataset
+        if len(data) < self.initial_evaluations:
+            return
+        problem = self.problem.with_references(
+            data.objectives, data.valid, data.feasible, self.initial_evaluations
+        )
+        if problem.has_references:
+            self.problem = data.problem = problem
+            self._models = Models(problem, self.settings, self.seed, self._prior_means)
+            self._count_hypervolume()
+
     def _learn_again(self) -> None:
         """Follow a change of what was told before."""
         self._forget_belief()
         with single_blas_thread():
             self._models.forget(self.dataset)
+        if self.problem.has_references:
+            self._count_hypervolume()
+
+    def _count_hypervolume(self) -> None:
+        """Count the hypervolume of the readings again."""
         self._boxes = BoxDecomposition(self.problem.reference_point)
         self._packed = 0
         self._hypervolume = sum(
@@ -260,6 +288,14 @@ class Optimizer:
                     stacklevel=3,
                 )
         self._told |= known & outputs.keys()
+
+    def hints(self) -> list[str]:
+        """Return what keeps the front empty, one sentence each; none once there is a front.
+
+        For example that no point is better than the reference in one objective, and by how much, that
+        a constraint was never met, or that all readings of a diagnostic are alike.
+        """
+        return hints(self.dataset, self._believed())
 
     def ask(self) -> dict[str, float]:
         """The set-point to evaluate next, in physical units and inside the bounds."""
@@ -388,7 +424,7 @@ class Optimizer:
         """
         state: dict[str, Any] = {
             "version": STATE_VERSION,
-            "problem": self.problem.to_dict(),
+            "problem": self._given.to_dict(),
             "settings": self.settings.to_dict(),
             "seed": self.seed,
             "hypervolume": self._hypervolume,
@@ -506,10 +542,16 @@ class Optimizer:
         inputs, failed = self.dataset.inputs, self.dataset.failed
         if not self._models.ready:
             return explore(inputs, taken(self.dataset), rng)
-        acquisition = self._acquisition_function()
+        acquisition = self._acquisition_function(tails=False)
         if acquisition is None:
             return self._explored(rng)
         found = self._maximum(acquisition, rng, inputs[failed], FAILED_TOLERANCE)
+        if self._is_out_of_reach(found):
+            acquisition = self._acquisition_function(nearest=True) or acquisition
+            found = self._maximum(acquisition, rng, inputs[failed], FAILED_TOLERANCE)
+        elif found is None:
+            acquisition = self._acquisition_function() or acquisition
+            found = self._maximum(acquisition, rng, inputs[failed], FAILED_TOLERANCE)
         if found is None:
             return self._explored(rng)
         used = taken(self.dataset)
@@ -542,6 +584,27 @@ class Optimizer:
         )
         return None if maximum is None else maximum.x
 
+    def _is_out_of_reach(self, found: Array | None) -> bool:
+        """Return whether no evaluation is better than the reference point, nor will be at `found`.
+
+        There is next to no improvement even at the best candidate, compared with the spread of the
+        readings. Then the search is for an improvement on the point that comes nearest.
+        """
+        belief = self._believed()
+        if not belief.feasible.any() or len(belief.front_rows()) or not self._models.known.all():
+            return False
+        if found is None:
+            return True
+        improvement = self._improvement(self._models.known).log_value(found[None])[0]
+        models = self._models.objectives
+        if self.settings.weights is not None:
+            spreads = [
+                sum(w * m.spread for w, m in zip(self.settings.weights, models, strict=True))
+            ]
+        else:
+            spreads = [model.spread for model in models]
+        return bool(improvement < sum(math.log(_HOPELESS * (s or 1.0)) for s in spreads))
+
     def _pays(self, x: Array, used: Taken) -> bool:
         """Return whether measuring at x ``(d,)`` may say anything that is not known."""
         known = self.dataset.inputs[self.dataset.complete & self.dataset.valid]
@@ -573,11 +636,17 @@ class Optimizer:
         weight = reduce(mul, factors).log_value if factors else None
         return explore(self.dataset.inputs, taken(self.dataset), rng, weight)
 
-    def _acquisition_function(self) -> AcquisitionFunction | None:
+    def _acquisition_function(
+        self, nearest: bool = False, tails: bool = True
+    ) -> AcquisitionFunction | None:
         """Return the acquisition function over all that was told, times its factors.
 
         None where the readings say nothing of where it is large: all objectives read alike, or a
         constraint that was never met did.
+
+        Args:
+            nearest: Whether to improve on the evaluation that comes nearest to the reference point.
+            tails: Whether improvements that underflow are needed.
         """
         known = self._models.known
         limits = self._models.constraints
@@ -587,7 +656,9 @@ class Optimizer:
             return reduce(mul, factors) if all(map(_is_informed, limits)) else None
         if all(m.is_constant for m in self._models.objectives if m.n):
             return None
-        return reduce(mul, [self._improvement(known), *factors])
+        if not self.problem.has_references:  # some objective was never measured
+            return None
+        return reduce(mul, [self._improvement(known, nearest, tails), *factors])
 
     def _factors(self, informed: bool = False) -> list[AcquisitionFunction]:
         """Return what the improvement is multiplied by.
@@ -607,13 +678,24 @@ class Optimizer:
             factors.append(ProximalBiasing(self.dataset.inputs[-1], precision))
         return factors
 
-    def _improvement(self, known: BoolArray) -> AcquisitionFunction:
-        """Return the acquisition function of the objectives that were measured at least once."""
+    def _improvement(
+        self, known: BoolArray, nearest: bool = False, tails: bool = True
+    ) -> AcquisitionFunction:
+        """Return the acquisition function of the objectives that were measured at least once.
+
+        Args:
+            known: Which objectives these are ``(P,)``.
+            nearest: Whether the evaluation that comes nearest to the reference point takes its place
+                where that is better than it.
+            tails: Whether improvements that underflow are needed.
+        """
         settings, belief = self.settings, self._believed()
         chosen = ACQUISITION_FUNCTIONS.find(settings.acquisition)
         models = tuple(m for m, k in zip(self._models.objectives, known, strict=True) if k)
         values = belief.objectives[belief.feasible][:, known]
         reference = self.problem.reference_point[known]
+        if nearest:
+            reference = np.maximum(reference, values[nearest_to_reference(values, reference)])
         lower = self.problem.truncation_lower[known]
         beta = settings.beta
         if isinstance(beta, str):
@@ -624,16 +706,17 @@ class Optimizer:
                 weights = np.ones(len(weights))
             summed: tuple[Model, ...] = (WeightedSum(models, weights),)
             sums = (values @ weights)[:, None]
-            worst = np.array([reference @ weights])
+            worst = np.array([sums.max() if nearest else reference @ weights])
             least = partial(BoxDecomposition, worst, sums)
             return chosen.of(Knowledge(summed, sums, worst, beta, least))
         truncation = (lower, reference) if np.isfinite(lower).any() else None
 
         def front() -> BoxDecomposition:
             boxes = self._front()
-            return boxes if is_certain(self.dataset) else BoxDecomposition(reference, values)
+            is_front = is_certain(self.dataset) and not nearest
+            return boxes if is_front else BoxDecomposition(reference, values)
 
-        return chosen.of(Knowledge(models, values, reference, beta, front, truncation))
+        return chosen.of(Knowledge(models, values, reference, beta, front, truncation, tails))
 
     def _front(self) -> BoxDecomposition:
         """Return the boxes of the readings, built again when the models were trained.
@@ -652,6 +735,12 @@ class Optimizer:
             self._boxes.add(objectives[row])
         self._packed = trained
         return self._boxes
+
+
+def _no_boxes(problem: Problem) -> BoxDecomposition:
+    """Return the boxes of an empty front, of no use before there is a reference point."""
+    reference = problem.reference_point
+    return BoxDecomposition(np.where(np.isfinite(reference), reference, 0.0))
 
 
 def _is_informed(limit: tuple[GaussianProcess, float, float]) -> bool:

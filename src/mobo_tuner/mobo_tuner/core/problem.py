@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -34,6 +34,7 @@ __all__ = [
 
 Direction = Literal["minimize", "maximize"]
 Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 LARGEST = 1e38
 """Largest magnitude of a number in a problem. A reading above it is a sentinel, such as the largest
@@ -75,8 +76,9 @@ class Objective:
     """A diagnostic to be minimised or maximised.
 
     `reference` is its component of the reference point, in `unit`: a measured value that is worse
-    earns no hypervolume. `truncation` is its side ``(A, B)`` of the truncation box, in `unit`.
-    A reading that is one of `invalid` means that nothing was measured.
+    earns no hypervolume. An infinite one is inferred from the data (`Problem.with_references`).
+    `truncation` is its side ``(A, B)`` of the truncation box, in `unit`. A reading that is one of
+    `invalid` means that nothing was measured.
     """
 
     name: str
@@ -189,7 +191,7 @@ class Problem:
                     "a name can stand for one quantity only"
                 )
         for objective in problem.objectives:
-            if abs(objective.reference) > problem.largest_reading:
+            if problem.largest_reading < abs(objective.reference) < math.inf:
                 raise ProblemError(
                     f"objectives.{objective.name}.reference is {objective.reference:g}; with "
                     f"{len(problem.objectives)} objectives at most {problem.largest_reading:g} in "
@@ -205,7 +207,9 @@ class Problem:
                 for v in self.variables
             },
             "objectives": {
-                o.name: {"direction": o.direction, "reference": o.reference, "unit": o.unit}
+                o.name: {"direction": o.direction}
+                | ({"reference": o.reference} if math.isfinite(o.reference) else {})
+                | {"unit": o.unit}
                 | ({"truncation": list(o.truncation)} if o.truncation else {})
                 | _invalid_entry(o)
                 for o in self.objectives
@@ -238,6 +242,49 @@ class Problem:
     def required_diagnostics(self) -> tuple[str, ...]:
         """Diagnostics without which an evaluation is invalid: objectives and constrained ones."""
         return tuple(dict.fromkeys([*self.objective_names, *(c.name for c in self.constraints)]))
+
+    @property
+    def has_references(self) -> bool:
+        """Whether every objective has its component of the reference point."""
+        return all(math.isfinite(o.reference) for o in self.objectives)
+
+    def with_references(
+        self, objectives: Array, valid: BoolArray, feasible: BoolArray, initial: int
+    ) -> Problem:
+        """Return the problem with the components of the reference point that were left out.
+
+        Each is a tenth of the readings' range worse than the worst reading that is feasible, or valid
+        where none is. The readings are those of the initial design, and of as few evaluations after
+        it as it takes to measure every objective; so the answer stays what it is.
+
+        Args:
+            objectives: Minimised objectives of the evaluations so far ``(n, P)``, NaN where not measured.
+            valid: Which evaluations are valid ``(n,)``.
+            feasible: Which of them are feasible ``(n,)``.
+            initial: Number of evaluations of the initial design.
+
+        Returns:
+            The problem itself where nothing was left out, or too little was measured so far.
+        """
+        if self.has_references:
+            return self
+        for count in range(initial, len(objectives) + 1):
+            rows = feasible[:count] if feasible[:count].any() else valid[:count]
+            readings = objectives[:count][rows]
+            if np.isfinite(readings).any(axis=0).all():
+                worst, best = np.nanmax(readings, axis=0), np.nanmin(readings, axis=0)
+                break
+        else:
+            return self
+        margin = 0.1 * np.where(worst > best, worst - best, np.maximum(np.abs(worst), 1e-30))
+        inferred = np.minimum(worst + margin, self.largest_reading).tolist()
+        return replace(
+            self,
+            objectives=tuple(
+                replace(o, reference=o.sign * r) if math.isinf(o.reference) else o
+                for o, r in zip(self.objectives, inferred, strict=True)
+            ),
+        )
 
     @property
     def largest_reading(self) -> float:
@@ -427,10 +474,14 @@ def _objective(name: str, entry: Mapping[str, Any]) -> Objective:
         raise ProblemError(
             f"{where}.direction is {direction!r}; 'minimize' and 'maximize' are allowed"
         )
-    reference = _number(f"{where}.reference", _required(where, entry, "reference"))
+    reference = math.inf if direction == "minimize" else -math.inf
+    if entry.get("reference") is not None:
+        reference = _number(f"{where}.reference", entry["reference"])
     truncation = None
     if entry.get("truncation") is not None:
         truncation = _interval(f"{where}.truncation", entry["truncation"])
+        if math.isinf(reference):
+            raise ProblemError(f"{where}.reference is missing: a truncation box needs one")
         if not truncation[0] <= reference <= truncation[1]:
             raise ProblemError(
                 f"{where}.reference is {reference:g}, outside its truncation box "

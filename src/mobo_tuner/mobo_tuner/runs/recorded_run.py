@@ -82,19 +82,24 @@ class RecordedRun:
                 [_mean(e["diagnostics"].get(name)) for name in problem.objective_names]
                 for e in evaluations
             ]
+            values = np.array(objectives, dtype=float).reshape(
+                len(evaluations), len(problem.objectives)
+            )
+            settings = start.get("settings") or {}
+            initial = settings.get("initial_evaluations") or 2 * (len(problem.variables) + 1)
+            signs = [o.sign for o in problem.objectives]
+            problem = problem.with_references(values * signs, valid, feasible, initial)
             return cls(
                 run_id=str(start["run_id"]),
                 problem=problem,
-                settings=start.get("settings") or {},
+                settings=settings,
                 started=_number(start.get("stamp")),
                 finished=_number(end.get("stamp")),
                 stop_reason=str(end["stop_reason"]),
                 error_msg=str(end.get("error_msg") or ""),
                 indices=np.array([e["index"] for e in evaluations], dtype=np.int64),
                 setpoints=[e["setpoint"] for e in evaluations],
-                objectives=np.array(objectives, dtype=float).reshape(
-                    len(evaluations), len(problem.objectives)
-                ),
+                objectives=values,
                 initial=np.array([e["source"] == "initial" for e in evaluations], dtype=bool),
                 valid=valid,
                 feasible=feasible,

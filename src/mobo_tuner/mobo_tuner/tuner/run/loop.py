@@ -60,7 +60,10 @@ class RunLoop:
             outcome = await self._evaluate(run, suggested)
             if outcome is None:
                 return
+            problem = run.problem
             message = await self._parts.worker.submit(run.learn, suggested, outcome)
+            if run.problem is not problem:  # its reference point was inferred
+                self._publish_all(run)
             run.steering.forget_skip()
             if not run.finished:  # computed while the world is told of this evaluation
                 suggestion = self._parts.worker.submit(run.suggest)

@@ -202,7 +202,7 @@ class Run:
             ProblemError: the optimiser cannot; nothing is changed.
             OSError: the journal cannot be written.
         """
-        if change.problem != self.problem:
+        if change.problem != self.optimizer.given_problem:
             self.optimizer = self.optimizer.with_problem(change.problem)
         self.budget = change.budget
         self.journal.append(

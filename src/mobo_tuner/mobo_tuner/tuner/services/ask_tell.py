@@ -127,7 +127,7 @@ class AskTell:
             self._run = self._session.latest = self._begin()
             self._publish_problem(self._run)
         run = self._run
-        if run.problem != self._problem():
+        if run.optimizer.given_problem != self._problem():
             change = Change(self._problem(), run.budget)
             await self._parts.worker.submit(run.apply, change, seconds(self._parts.now()))
             self._publish_problem(run)

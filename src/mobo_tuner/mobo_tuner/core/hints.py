@@ -1,0 +1,91 @@
+"""What keeps a run from getting anywhere, in sentences for its operator."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mobo_tuner.core.belief import Belief
+from mobo_tuner.core.dataset import Dataset
+from mobo_tuner.core.problem import Array, Problem
+
+
+def hints(data: Dataset, belief: Belief) -> list[str]:
+    """Return one sentence for each thing that is wrong; none while points are on the front."""
+    problem = data.problem
+    if len(data) == 0 or len(belief.front_rows()):
+        return []
+    if data.failed.all():
+        return [f"all {len(data)} evaluations failed"]
+    missing = [n for n in problem.required_diagnostics if np.isnan(data.column(n)).all()]
+    if missing:
+        return [f"{name} was never measured" for name in missing] + _alike(data)
+    return _constraints(data, belief) + _references(problem, belief) + _alike(data)
+
+
+def nearest_to_reference(objectives: Array, reference: Array) -> int:
+    """Return the row ``(n, P)`` whose objective that lacks most lacks least.
+
+    What it lacks is measured by the spread of the objectives.
+    """
+    spread = np.std(objectives, axis=0)
+    spread = np.where(spread > 0.0, spread, np.maximum(np.abs(objectives[0] - reference), 1e-300))
+    return int(((objectives - reference) / spread).max(axis=1).argmin())
+
+
+def _constraints(data: Dataset, belief: Belief) -> list[str]:
+    """Say which constraint was never met, or that all never were at once."""
+    if belief.feasible.any() or not data.problem.constraints:
+        return []
+    sentences = []
+    for constraint in data.problem.constraints:
+        values = data.column(constraint.name)
+        values = values[np.isfinite(values)]
+        if not any(constraint.is_met(value) for value in values):
+            lack = np.maximum(constraint.minimum - values, values - constraint.maximum)
+            sides = (("at least", constraint.minimum), ("at most", constraint.maximum))
+            limits = " and ".join(f"{w} {v:.4g}" for w, v in sides if math.isfinite(v))
+            sentences.append(
+                f"no point meets the constraint that {constraint.name} is {limits}; "
+                f"nearest {values[lack.argmin()]:.4g}"
+            )
+    return sentences or ["no point meets all constraints at once"]
+
+
+def _references(problem: Problem, belief: Belief) -> list[str]:
+    """Say which component of the reference point was never reached, or that all never were."""
+    rows = np.flatnonzero(belief.feasible & np.isfinite(belief.objectives).all(axis=1))
+    if not len(rows) or not problem.has_references:
+        return []
+    objectives, reference = belief.objectives[rows], problem.reference_point
+    sentences = []
+    for objective, column, limit in zip(problem.objectives, objectives.T, reference, strict=True):
+        if not (column < limit).any():
+            sentences.append(
+                f"no point is better than the reference of {objective.reference:.4g} in "
+                f"{objective.name}; nearest {objective.sign * column.min():.4g}"
+            )
+    if sentences:
+        return sentences
+    row = nearest_to_reference(objectives, reference)
+    lacking = ", ".join(
+        f"{o.name} is {o.sign * value:.4g} (reference {o.reference:.4g})"
+        for o, value in zip(problem.objectives, objectives[row], strict=True)
+        if not value < o.sign * o.reference
+    )
+    return [
+        "no point is better than the reference point in all objectives at once; in evaluation "
+        f"{rows[row]}, which comes nearest, {lacking}"
+    ]
+
+
+def _alike(data: Dataset) -> list[str]:
+    """Say which diagnostic always reads the same."""
+    sentences = []
+    for name in data.problem.required_diagnostics:
+        values = data.column(name)
+        values = values[np.isfinite(values)]
+        if len(values) > 2 and np.ptp(values) == 0.0:
+            sentences.append(f"all {len(values)} readings of {name} are {values[0]:.4g}")
+    return sentences

@@ -1,0 +1,142 @@
+"""References out of reach or left out, and what the optimiser says of a front that stays empty."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mobo_tuner.core import Optimizer, Problem
+
+Outputs = dict[str, float]
+
+
+def problem(objectives: dict[str, Any], **parts: Any) -> Problem:
+    """Two variables from -2 to 2."""
+    variables = {name: {"min": -2.0, "max": 2.0} for name in "xy"}
+    return Problem.from_dict({"variables": variables, "objectives": objectives} | parts)
+
+
+def bowl(x: float, y: float) -> float:
+    return (x - 0.3) ** 2 + (y + 0.7) ** 2
+
+
+@pytest.mark.parametrize(
+    ("objective", "settings"),
+    [
+        ({"reference": -1.0}, {}),
+        ({"reference": -1.0}, {"acquisition": "ei"}),
+        ({"reference": -1.0}, {"acquisition": "ucb"}),
+        ({"reference": -1.0}, {"acquisition": "ucb_hvi"}),
+        ({"reference": -1.0, "truncation": [-2.0, -1.0]}, {}),
+        ({"reference": -1e6}, {}),
+        ({"reference": 100.0, "direction": "maximize"}, {}),
+    ],
+)
+def test_a_reference_out_of_reach_is_approached_and_told(
+    objective: dict[str, Any], settings: dict[str, Any]
+) -> None:
+    sign = -1.0 if "direction" in objective else 1.0
+    optimizer = Optimizer(problem({"f": objective}), seed=1, **settings)
+    for _ in range(35):
+        setpoint = optimizer.ask()
+        optimizer.tell(setpoint, {"f": sign * bowl(**setpoint)})
+    best = min(sign * e.values["f"] for e in optimizer.dataset.evaluations)
+    assert best < 1e-3
+    [hint] = optimizer.hints()
+    assert f"{objective['reference']:.4g} in f" in hint
+    assert f"{sign * best:.4g}" in hint
+
+
+def two(x: float, y: float) -> Outputs:
+    return {"f": math.hypot(x - 1.0, y - 1.0), "g": math.hypot(x + 1.0, y + 1.0)}
+
+
+def test_one_reference_out_of_reach_does_not_stop_the_other() -> None:
+    objectives = {"f": {"reference": -0.5}, "g": {"reference": 3.0}}
+    optimizer = Optimizer(problem(objectives), seed=2)
+    for _ in range(30):
+        setpoint = optimizer.ask()
+        optimizer.tell(setpoint, two(**setpoint))
+    values = np.array([[e.values["f"], e.values["g"]] for e in optimizer.dataset.evaluations])
+    assert values[values[:, 1] < 3.0, 0].min() < 0.1
+    assert ["in f" in hint for hint in optimizer.hints()] == [True]
+
+
+def test_references_that_are_out_of_reach_together_are_told() -> None:
+    objectives = {"f": {"reference": 1.0}, "g": {"reference": 1.0}}
+    optimizer = Optimizer(problem(objectives), seed=2)
+    for _ in range(20):
+        setpoint = optimizer.ask()
+        optimizer.tell(setpoint, two(**setpoint))
+    [hint] = optimizer.hints()
+    assert "at once" in hint
+    worst = [max(e.values["f"], e.values["g"]) for e in optimizer.dataset.evaluations]
+    assert min(worst) < 1.5  # the least is sqrt(2)
+
+
+def test_a_reference_that_is_found_later_ends_the_hint() -> None:
+    optimizer = Optimizer(problem({"f": {"reference": 0.01}}), seed=1)
+    for _ in range(20):
+        setpoint = optimizer.ask()
+        optimizer.tell(setpoint, {"f": bowl(**setpoint)})
+    assert optimizer.hypervolume > 0.0
+    assert optimizer.hints() == []
+
+
+def test_failures_constraints_and_constants_are_told() -> None:
+    objectives = {"f": {"reference": 3.0}}
+    failed = Optimizer(problem(objectives))
+    assert failed.hints() == []
+    failed.tell({"x": 0.0, "y": 0.0}, {})
+    assert ["failed" in hint for hint in failed.hints()] == [True]
+
+    limited = Optimizer(problem(objectives, constraints={"t": {"min": 0.5}}))
+    for x in (0.0, 0.5, 1.0):
+        limited.tell({"x": x, "y": 0.0}, {"f": x, "t": 0.0})
+    never, alike = limited.hints()
+    assert "t is at least 0.5" in never
+    assert "3 readings of t are 0" in alike
+
+    partly = Optimizer(problem(objectives | {"g": {"reference": 1.0}}))
+    partly.tell({"x": 0.0, "y": 0.0}, {"f": 9.0})
+    assert any("g was never measured" in hint for hint in partly.hints())
+
+
+def test_a_reference_left_out_is_inferred_once_and_stays() -> None:
+    left_out = problem({"f": {}, "g": {"direction": "maximize"}, "h": {"reference": 7.0}})
+    optimizer = Optimizer(left_out, seed=3)
+    assert not optimizer.problem.has_references
+    readings = []
+    for i in range(12):
+        setpoint = optimizer.ask()
+        values = two(**setpoint)
+        outputs = {"f": values["f"], "g": -values["g"], "h": setpoint["x"]}
+        optimizer.tell(setpoint, outputs)
+        readings.append(list(outputs.values()))
+        assert optimizer.problem.has_references == (i >= 5)
+        assert (optimizer.hypervolume > 0.0) == (i >= 5)
+    first = np.array(readings[:6])
+    reference = {o.name: o.reference for o in optimizer.problem.objectives}
+    assert reference["f"] == pytest.approx(first[:, 0].max() + 0.1 * np.ptp(first[:, 0]))
+    assert reference["g"] == pytest.approx(first[:, 1].min() - 0.1 * np.ptp(first[:, 1]))
+    assert reference["h"] == 7.0
+    assert optimizer.given_problem == left_out
+    assert Problem.from_dict(left_out.to_dict()) == left_out
+
+    restored = Optimizer.from_state(json.loads(json.dumps(optimizer.get_state())))
+    changed = optimizer.with_problem(left_out)
+    assert restored.problem == changed.problem == optimizer.problem
+    assert restored.ask() == optimizer.ask()
+    assert changed.hypervolume == pytest.approx(optimizer.hypervolume)
+
+
+def test_where_all_readings_are_alike_a_reference_is_still_inferred() -> None:
+    optimizer = Optimizer(problem({"f": {}, "g": {}}), initial_evaluations=2)
+    for _ in range(5):
+        optimizer.tell(optimizer.ask(), {"f": 0.0, "g": -4.0})
+    assert optimizer.problem.has_references
+    assert 0.0 < optimizer.hypervolume < math.inf
