@@ -131,7 +131,7 @@ def suggestion_times(
         n_objectives: Number of objectives.
         limit: Limit of the CPU time [s].
     """
-    x = qmc.LatinHypercube(N_VARIABLES, rng=np.random.default_rng(1)).random(n)
+    x = qmc.LatinHypercube(N_VARIABLES, seed=np.random.default_rng(1)).random(n)
     y = np.array([dtlz2(row, n_objectives) for row in x])
     spent = 0.0
     while spent < limit:

@@ -106,7 +106,7 @@ def test_the_same_seed_gives_the_same_asks_and_another_seed_others() -> None:
 
 def test_setpoints_that_were_never_asked_for_are_learned() -> None:
     optimizer = Optimizer(Problem.from_dict(TOY), initial_evaluations=5)
-    points = 4.0 * qmc.LatinHypercube(2, rng=np.random.default_rng(0)).random(12) - 2.0
+    points = 4.0 * qmc.LatinHypercube(2, seed=np.random.default_rng(0)).random(12) - 2.0
     for x1, x2 in points:
         optimizer.tell({"x1": x1, "x2": x2}, toy({"x1": x1, "x2": x2}))
     x = optimizer.ask()
@@ -256,7 +256,7 @@ def test_in_twenty_variables_suggestions_beat_a_latin_hypercube() -> None:
     assert optimizer.last_source == "model"
     hypercubes = []
     for seed in range(10):
-        points = 4.0 * qmc.LatinHypercube(20, rng=np.random.default_rng(seed)).random(30) - 2.0
+        points = 4.0 * qmc.LatinHypercube(20, seed=np.random.default_rng(seed)).random(30) - 2.0
         values = [list(machine(dict(zip(names, row, strict=True))).values()) for row in points]
         hypercubes.append(moocore.hypervolume(np.array(values), ref=[REFERENCE] * 2))
     assert optimizer.hypervolume > 1.2 * max(hypercubes)

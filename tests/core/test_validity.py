@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import trapezoid
 from scipy.optimize import approx_fprime
 from scipy.stats import norm
 from sklearn.gaussian_process import GaussianProcessClassifier
@@ -41,7 +42,7 @@ def test_evidence_and_mode_of_one_evaluation_by_integration():
     posterior = _LaplacePosterior(Matern52(1), parameters, x, valid)
     f = np.linspace(-12, 12, 4001)
     density = norm.pdf(f, posterior.offset, np.sqrt(2.0)) * norm.cdf(-f)
-    evidence = np.trapezoid(density, f)
+    evidence = trapezoid(density, f)
     likelihood = _LaplaceLikelihood(Matern52(1), x, valid)
     deviation = (parameters - likelihood.prior_mean) / likelihood._prior_stddev
     value = likelihood(parameters)[0] - 0.5 * deviation @ deviation

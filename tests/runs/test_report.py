@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
+from scipy.integrate import trapezoid
 from scipy.stats import spearmanr
 
 from mobo_tuner.core.problem import Problem
@@ -288,7 +289,7 @@ def test_the_staircase_bounds_the_dominated_area() -> None:
     reference = np.array([1.2, 1.3])
     corners = staircase(points, reference)
     assert corners.shape == (13, 2)
-    area = -np.trapezoid(corners[:, 1] - reference[1], corners[:, 0])
+    area = -trapezoid(corners[:, 1] - reference[1], corners[:, 0])
     grid = (rng.random((20_000, 2))) * reference
     dominated = (points[None] <= grid[:, None]).all(axis=2).any(axis=1)
     assert area == pytest.approx(dominated.mean() * reference.prod(), abs=0.02)

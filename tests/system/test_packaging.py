@@ -270,3 +270,13 @@ def test_each_package_can_stand_alone(package: str) -> None:
     readme = (folder / "README.md").read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#]+)\)", readme):
         assert (folder / target).exists(), target
+
+
+def test_the_numerics_call_nothing_that_ubuntus_libraries_lack() -> None:
+    """SciPy 1.11 has `seed` in place of `rng`, numpy 1.26 has no `trapezoid`."""
+    for path in SOURCE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func).startswith("qmc."):
+                assert "rng" not in {keyword.arg for keyword in node.keywords}, path
+            if isinstance(node, ast.Attribute):
+                assert ast.unparse(node) != "np.trapezoid", path

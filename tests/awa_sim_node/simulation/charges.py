@@ -24,7 +24,7 @@ def bunch_of(positions: FloatArray, momentum: FloatArray | float, charge: float 
 
 def uniform_sphere(n: int) -> FloatArray:
     """Points that fill the unit sphere evenly, ``(n, 3)``."""
-    u = qmc.Sobol(3, scramble=True, rng=1).random(n)
+    u = qmc.Sobol(3, scramble=True, seed=1).random(n)
     r, cosine, angle = np.cbrt(u[:, 0]), 2.0 * u[:, 1] - 1.0, 2.0 * np.pi * u[:, 2]
     across = r * np.sqrt(1.0 - cosine**2)
     return np.column_stack([across * np.cos(angle), across * np.sin(angle), r * cosine])
@@ -32,7 +32,7 @@ def uniform_sphere(n: int) -> FloatArray:
 
 def uniform_cylinder(n: int) -> FloatArray:
     """Points that fill a cylinder of radius 1 from z = -1 to 1 evenly, ``(n, 3)``."""
-    u = qmc.Sobol(3, scramble=True, rng=1).random(n)
+    u = qmc.Sobol(3, scramble=True, seed=1).random(n)
     r, angle = np.sqrt(u[:, 0]), 2.0 * np.pi * u[:, 1]
     return np.column_stack([r * np.cos(angle), r * np.sin(angle), 2.0 * u[:, 2] - 1.0])
 

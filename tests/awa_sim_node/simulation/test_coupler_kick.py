@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 
 from awa_sim_node.simulation.constants import CHARGE_OVER_MASS, SPEED_OF_LIGHT
 from awa_sim_node.simulation.coupler_kick import CENTRE, HALF_LENGTH, gradient
@@ -14,7 +15,7 @@ from tests.awa_sim_node.simulation.test_pusher import step
 def test_it_adds_up_to_its_strength() -> None:
     z = np.linspace(CENTRE - HALF_LENGTH, CENTRE + HALF_LENGTH, 2001)
     values = np.array([gradient(position, 1.7e-3) for position in z])
-    assert np.trapezoid(values, z) == pytest.approx(1.7e-3, rel=1e-6)
+    assert trapezoid(values, z) == pytest.approx(1.7e-3, rel=1e-6)
     assert gradient(CENTRE + 1.0001 * HALF_LENGTH, 1.7e-3) == 0.0
     assert gradient(CENTRE - 1.0001 * HALF_LENGTH, 1.7e-3) == 0.0
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 
 from awa_sim_node.simulation.constants import CHARGE_OVER_MASS, SPEED_OF_LIGHT
 from awa_sim_node.simulation.field_map import FieldMap
@@ -57,7 +58,7 @@ def test_it_is_a_lens_of_the_focal_length_that_the_textbook_gives() -> None:
     field = MATCHING.scaled(230.0)
     p, offset = 120.0, 1e-3
     strength = -CHARGE_OVER_MASS / (2.0 * SPEED_OF_LIGHT * p)
-    inverse = np.trapezoid((strength * field.values[0, :, 0]) ** 2, dx=field.dz)
+    inverse = trapezoid((strength * field.values[0, :, 0]) ** 2, dx=field.dz)
     bunch = bunch_of(np.array([[offset, 0.0, 0.0]]), p)
     while bunch.phase_space[0, 2] < field.end:
         step(bunch, beamline(solenoids=field), 1e-12)
@@ -74,7 +75,7 @@ def test_it_turns_the_beam_by_larmors_angle_and_leaves_no_swirl() -> None:
     p, offset = 120.0, 1e-3
     strength = -CHARGE_OVER_MASS / (2.0 * SPEED_OF_LIGHT * p)
     peak = np.abs(field.values[0, :, 0]).max()
-    angle = np.trapezoid(strength * field.values[0, :, 0], dx=field.dz)
+    angle = trapezoid(strength * field.values[0, :, 0], dx=field.dz)
     bunch = bunch_of(np.array([[offset, 0.0, 0.0]]), p)
     largest = 0.0
     while bunch.phase_space[0, 2] < field.end:
