@@ -36,12 +36,13 @@ from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import FILE_NAME, read_journal
 from mobo_tuner.runs.rebuild import records_of_bag, runs_of_bag
 from mobo_tuner.runs.recorded_run import RecordedRun
+from mobo_tuner.runs.records import EndRecord
 from mobo_tuner.runs.replay import restore
 from mobo_tuner.runs.report.summary import summarize
 from mobo_tuner.runs.resume_config import resume_config
 from mobo_tuner.runs.saved_state import FILE_NAME as STATE_NAME
 from mobo_tuner.runs.saved_state import SavedState, checksum
-from robustness.lived_run import LivedRun, toy, toy_optimizer
+from robustness.offline_run import OfflineRun, toy, toy_optimizer
 from robustness.synthetic_bag import write_bag
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -108,12 +109,10 @@ class Fuzzer:
         shutil.copy(ROOT / "config" / "bridge_foreign.yaml", scratch)
         self.report = Report()
         self._run = scratch / "run"
-        run = LivedRun(self._run, toy_optimizer(3), toy, 3)
+        run = OfflineRun(self._run, toy_optimizer(3), toy, 3)
         for _ in range(9):
             run.step()
-        run.log.append(
-            {"type": "end", "stamp": 1.0, "stop_reason": "budget", "error_code": 0, "error_msg": ""}
-        )
+        run.log.append(EndRecord(1.0, "budget"))
         run.log.close()
         self._records = read_journal(self._run)
         self._history = History.from_records(self._records)

@@ -11,12 +11,12 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from mobo_tuner.runs.history import History
-from mobo_tuner.runs.journal import JournalError, Record, read_journal
+from mobo_tuner.runs.journal import JournalError, JsonRecord, read_journal
 from mobo_tuner.runs.rebuild import BagError, records_of_bag, runs_of_bag
 from mobo_tuner.runs.replay import compare
 
 
-def evaluations(records: Iterable[Record]) -> list[Record]:
+def evaluations(records: Iterable[JsonRecord]) -> list[JsonRecord]:
     """Return the evaluations among the records of a journal."""
     return [record for record in records if record["type"] == "evaluation"]
 
@@ -26,7 +26,7 @@ def has_journal(folder: Path) -> bool:
     return (folder / "journal.jsonl").exists()
 
 
-def differing_suggestions(records: list[Record]) -> list[int]:
+def differing_suggestions(records: list[JsonRecord]) -> list[int]:
     """Return the evaluations whose set-points differ from those of an uninterrupted run."""
     return [c.index for c in compare(History.from_records(records)) if c.differs]
 

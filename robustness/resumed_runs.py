@@ -29,13 +29,13 @@ from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import FILE_NAME, read_journal
 from mobo_tuner.runs.replay import restore
 from mobo_tuner.runs.saved_state import SavedState
-from robustness.lived_run import LivedRun, toy, toy_optimizer
+from robustness.offline_run import OfflineRun, toy, toy_optimizer
 
 LENGTH = 14  # evaluations of a run
 _COMPARED = ("index", "source", "setpoint", "diagnostics", "valid", "feasible", "hypervolume")
 
 
-def carry_out(run: LivedRun) -> dict[str, float]:
+def carry_out(run: OfflineRun) -> dict[str, float]:
     """Continue a run to its end, and return its next suggestion."""
     while len(run.optimizer.dataset) < LENGTH:
         run.step()
@@ -43,19 +43,19 @@ def carry_out(run: LivedRun) -> dict[str, float]:
     return run.ask()
 
 
-def begin(folder: Path, *, seed: int) -> LivedRun:
+def begin(folder: Path, *, seed: int) -> OfflineRun:
     """Return a new run."""
-    return LivedRun(folder, toy_optimizer(seed), toy, seed)
+    return OfflineRun(folder, toy_optimizer(seed), toy, seed)
 
 
-def resume(earlier: Path, folder: Path, *, seed: int) -> LivedRun:
+def resume(earlier: Path, folder: Path, *, seed: int) -> OfflineRun:
     """Return a run that resumes an earlier one from its folder."""
     history = History.from_records(read_journal(earlier))
     optimizer = restore(history, SavedState.read(earlier))
-    return LivedRun(folder, optimizer, toy, seed, earlier=history)
+    return OfflineRun(folder, optimizer, toy, seed, earlier=history)
 
 
-def kill_during(start: Callable[[], LivedRun], seconds: float) -> None:
+def kill_during(start: Callable[[], OfflineRun], seconds: float) -> None:
     """Carry out a run in a child process, and kill it after `seconds`."""
     child = os.fork()
     if child == 0:

@@ -12,15 +12,21 @@ from rclpy.serialization import serialize_message
 from mobo_msgs_py import msg
 from mobo_tuner.runs.bag import BagWriter
 from mobo_tuner.runs.definitions import find_definition
-from mobo_tuner.runs.history import History
-from mobo_tuner.runs.journal import Record, journal_line
-from mobo_tuner.tuner.run.republish import earlier_evaluations
+from mobo_tuner.runs.journal import JsonRecord, journal_line
+from mobo_tuner.runs.records import (
+    ChangeRecord,
+    EndRecord,
+    EvaluationRecord,
+    StartRecord,
+    from_json,
+)
+from mobo_tuner.tuner.messages import evaluation_message, run_records_message
 
 TICK = 10_000_000  # [ns] between two messages
 START = 1_700_000_000_000_000_000  # [ns]
 
 
-def write_bag(bag: Path, *runs: Sequence[Record]) -> None:
+def write_bag(bag: Path, *runs: Sequence[JsonRecord]) -> None:
     """Write the bag of one or more consecutive runs.
 
     Args:
@@ -31,7 +37,7 @@ def write_bag(bag: Path, *runs: Sequence[Record]) -> None:
     writer.open()
     connections = {}
     for topic, kind in (
-        ("/problem", "Problem"),
+        ("/run_records", "RunRecords"),
         ("/evaluation", "Evaluation"),
         ("/status", "TunerStatus"),
     ):
@@ -48,21 +54,23 @@ def write_bag(bag: Path, *runs: Sequence[Record]) -> None:
     writer.close()
 
 
-def _messages(records: Sequence[Record]) -> list[tuple[str, Any]]:
+def _messages(records: Sequence[JsonRecord]) -> list[tuple[str, Any]]:
     """Return the messages of a run in order, each with its topic."""
-    history = History.from_records(records)
-    evaluations = iter(earlier_evaluations(history, history.run_id))
-    outline = ""
+    run_id, outline = "", ""
     messages: list[tuple[str, Any]] = []
-    for record in records:
-        if record["type"] in ("start", "change"):
-            outline += journal_line(record).decode()
-            messages.append(("/problem", msg.Problem(run_id=history.run_id, records=outline)))
-        elif record["type"] == "evaluation":
-            messages.append(("/evaluation", next(evaluations)))
-        elif record["type"] == "end":
-            status = msg.TunerStatus(run_id=history.run_id, stop_reason=record["stop_reason"])
-            status.stamp = Time(sec=int(record["stamp"]))
-            status.message = record["error_msg"]
+    for content in records:
+        record = from_json(content)
+        if isinstance(record, StartRecord):
+            run_id = record.run_id
+        if isinstance(record, StartRecord | ChangeRecord):
+            problem = record.problem
+            outline += journal_line(content).decode()
+            messages.append(("/run_records", run_records_message(outline, run_id, Time())))
+        elif isinstance(record, EvaluationRecord):
+            messages.append(("/evaluation", evaluation_message(problem, record, run_id)))
+        elif isinstance(record, EndRecord):
+            status = msg.TunerStatus(run_id=run_id, stop_reason=record.stop_reason)
+            status.header.stamp = Time(sec=int(record.stamp))
+            status.message = record.error_msg
             messages.append(("/status", status))
     return messages

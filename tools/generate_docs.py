@@ -43,7 +43,8 @@ PARTS = {".action": ("Goal", "Result", "Feedback"), ".srv": ("Request", "Respons
 
 TOPICS = """| name | type | quality of service | what for |
 |---|---|---|---|
-| `problem` | `Problem` | latched | what is tuned; once per run |
+| `problem` | `Problem` | latched | variables, objectives, constraints; when a run begins and when they change |
+| `run_records` | `RunRecords` | latched | how the run was set up and changed: what a bag needs for `rebuild` |
 | `evaluation` | `Evaluation` | kept | exactly one per evaluation |
 | `pareto_front` | `ParetoFront` | latched | the front, whenever it grows |
 | `status` | `TunerStatus` | latched, and at 1 Hz | what the tuner is doing |

@@ -307,9 +307,11 @@ def test_a_loop_of_ones_own_needs_no_machine(client: TunerClient, start_tuner: S
     assert math.isnan(kept.stddevs["f1"])
     assert kept.readbacks == {"x1": 0.25}
     assert refusal(lambda: client.tell(first, {"f1": 1.0})).code == ErrorCode.REFUSED
-    own = client.tell(HERE, {"f1": 1.0})
-    assert (own.index, own.valid, own.source) == (1, False, "operator")
-    assert "f2" in own.error
+    own = client.tell(HERE, {"f1": 1.0})  # what was measured is learned
+    assert (own.index, own.valid, own.feasible, own.source) == (1, True, False, "operator")
+    failed = client.tell(HERE, {"f1": math.nan})
+    assert (failed.index, failed.valid) == (2, False)
+    assert "f1, f2" in failed.error
 
 
 def test_two_tuners_in_namespaces_are_kept_apart(start_node: NodeStarter) -> None:

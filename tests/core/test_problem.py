@@ -141,6 +141,8 @@ def test_a_bad_file_is_refused_in_one_sentence(tmp_path: Path, text: str, senten
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="absent\\.yaml' cannot be read: No such file"):
         load_yaml(tmp_path / "absent.yaml")
+    with pytest.raises(ProblemError, match="absent\\.yaml' cannot be read: No such file"):
+        Problem.from_yaml(tmp_path / "absent.yaml")
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00\xd8")
     with pytest.raises(FileError, match="not UTF-8"):
         load_yaml(tmp_path / "binary.yaml")

@@ -19,7 +19,7 @@ from tests.support.processes import NodeProcess, NodeStarter
 from tests.support.tuner_double import Behaviour, TunerDouble
 
 SpinUntil = Callable[..., None]
-RECORDED = ["/evaluation", "/pareto_front", "/problem", "/status"]
+RECORDED = ["/evaluation", "/pareto_front", "/problem", "/run_records", "/status"]
 
 
 class Session:

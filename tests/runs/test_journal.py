@@ -14,16 +14,22 @@ import pytest
 
 from mobo_tuner.runs.journal import FILE_NAME, Journal, JournalError, read_journal
 
-HEADER = {"run_id": "run1", "stamp": 12.5, "problem": {"variables": {}}, "settings": {"seed": 3}}
+START = {
+    "type": "start",
+    "run_id": "run1",
+    "stamp": 12.5,
+    "problem": {"variables": {}},
+    "settings": {"seed": 3},
+}
 
 
 def test_records_come_back_in_order(tmp_path: Path) -> None:
-    with Journal.create(tmp_path / "runs" / "run1", HEADER) as journal:
+    with Journal.create(tmp_path / "runs" / "run1", [START]) as journal:
         journal.append({"type": "evaluation", "index": 0, "setpoint": {"µ": 1.5}})
         journal.append({"type": "end", "stop_reason": "budget"})
     assert journal.path == tmp_path / "runs" / "run1" / FILE_NAME
     expected = [
-        {"type": "start", **HEADER},
+        START,
         {"type": "evaluation", "index": 0, "setpoint": {"µ": 1.5}},
         {"type": "end", "stop_reason": "budget"},
     ]
@@ -32,14 +38,14 @@ def test_records_come_back_in_order(tmp_path: Path) -> None:
 
 
 def test_a_record_is_in_the_file_when_append_returns(tmp_path: Path) -> None:
-    with Journal.create(tmp_path, HEADER) as journal:
+    with Journal.create(tmp_path, [START]) as journal:
         for index in range(3):
             journal.append({"type": "evaluation", "index": index})
             assert len(read_journal(tmp_path)) == index + 2
 
 
 def test_numbers_that_are_not_finite_become_null_and_the_json_is_strict(tmp_path: Path) -> None:
-    with Journal.create(tmp_path, HEADER) as journal:
+    with Journal.create(tmp_path, [START]) as journal:
         journal.append(
             {
                 "type": "evaluation",
@@ -66,16 +72,16 @@ def test_numbers_that_are_not_finite_become_null_and_the_json_is_strict(tmp_path
 
 
 def test_text_with_a_line_break_stays_one_line(tmp_path: Path) -> None:
-    with Journal.create(tmp_path, HEADER) as journal:
+    with Journal.create(tmp_path, [START]) as journal:
         journal.append({"type": "end", "error_msg": "one\ntwo\u2028three"})
     assert read_journal(tmp_path)[1]["error_msg"] == "one\ntwo\u2028three"
 
 
 def test_an_existing_journal_is_never_overwritten(tmp_path: Path) -> None:
-    Journal.create(tmp_path, HEADER).close()
+    Journal.create(tmp_path, [START]).close()
     before = (tmp_path / FILE_NAME).read_bytes()
     with pytest.raises(FileExistsError, match="exists already"):
-        Journal.create(tmp_path, {"run_id": "other"})
+        Journal.create(tmp_path, [{"type": "start", "run_id": "other"}])
     assert (tmp_path / FILE_NAME).read_bytes() == before
 
 
@@ -88,19 +94,19 @@ def test_a_new_journal_gets_its_name_only_once_whole(
 
     if not hard_links:
         monkeypatch.setattr(os, "link", link)
-    with Journal.create(tmp_path, HEADER) as journal:
+    with Journal.create(tmp_path, [START]) as journal:
         journal.append({"type": "end"})
     assert [path.name for path in tmp_path.iterdir()] == [FILE_NAME]
     assert [r["type"] for r in read_journal(tmp_path)] == ["start", "end"]
     with pytest.raises(FileExistsError, match="exists already"):
-        Journal.create(tmp_path, {"run_id": "other"})
+        Journal.create(tmp_path, [{"type": "start", "run_id": "other"}])
     assert [path.name for path in tmp_path.iterdir()] == [FILE_NAME]
     assert len(read_journal(tmp_path)) == 2
 
 
 def test_a_header_that_is_no_json_leaves_nothing_behind(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="cannot hold"):
-        Journal.create(tmp_path / "run", {"problem": object()})
+        Journal.create(tmp_path / "run", [{"type": "start", "problem": object()}])
     assert not (tmp_path / "run").exists()
 
 
@@ -108,13 +114,13 @@ def test_a_header_that_is_no_json_leaves_nothing_behind(tmp_path: Path) -> None:
     "record", [{"index": 1}, {"type": 3}, {"type": "end", "x": {1, 2}}, {}], ids=str
 )
 def test_a_record_that_is_none_is_refused(tmp_path: Path, record: dict[str, object]) -> None:
-    with Journal.create(tmp_path, HEADER) as journal, pytest.raises(ValueError, match="journal"):
+    with Journal.create(tmp_path, [START]) as journal, pytest.raises(ValueError, match="journal"):
         journal.append(record)
     assert len(read_journal(tmp_path)) == 1
 
 
 def test_a_closed_journal_refuses_records(tmp_path: Path) -> None:
-    journal = Journal.create(tmp_path, HEADER)
+    journal = Journal.create(tmp_path, [START])
     journal.close()
     journal.close()
     with pytest.raises(ValueError, match="closed"):
@@ -126,7 +132,7 @@ def test_a_closed_journal_refuses_records(tmp_path: Path) -> None:
     [b'{"type": "evaluation", "ind', b'{"type"', b"\x00\x00\x00\xff", b'"text"\n', b"{}\n"],
 )
 def test_a_damaged_last_line_is_left_out(tmp_path: Path, tail: bytes) -> None:
-    with Journal.create(tmp_path, HEADER) as journal:
+    with Journal.create(tmp_path, [START]) as journal:
         journal.append({"type": "evaluation", "index": 0})
     with journal.path.open("ab") as file:
         file.write(tail)
@@ -134,14 +140,14 @@ def test_a_damaged_last_line_is_left_out(tmp_path: Path, tail: bytes) -> None:
 
 
 def test_a_last_line_that_lacks_only_its_end_is_kept(tmp_path: Path) -> None:
-    with Journal.create(tmp_path, HEADER) as journal:
+    with Journal.create(tmp_path, [START]) as journal:
         journal.append({"type": "end", "stop_reason": "budget"})
     journal.path.write_bytes(journal.path.read_bytes().rstrip())
     assert [r["type"] for r in read_journal(tmp_path)] == ["start", "end"]
 
 
 def test_a_damaged_earlier_line_is_an_error_that_names_it(tmp_path: Path) -> None:
-    with Journal.create(tmp_path, HEADER) as journal:
+    with Journal.create(tmp_path, [START]) as journal:
         journal.append({"type": "evaluation", "index": 0})
         journal.append({"type": "end"})
     lines = journal.path.read_bytes().splitlines()
@@ -168,7 +174,7 @@ def test_a_full_disk_leaves_whole_lines_and_the_journal_usable(tmp_path: Path) -
     script = """
 import json, resource, sys
 from mobo_tuner.runs.journal import Journal
-journal = Journal.create(sys.argv[1], {"run_id": "r"})
+journal = Journal.create(sys.argv[1], [{"type": "start", "run_id": "r"}])
 soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
 try:
@@ -194,7 +200,7 @@ def test_a_journal_begins_with_its_start_whenever_its_writer_was_killed(tmp_path
 import itertools, pathlib, sys
 from mobo_tuner.runs.journal import Journal
 for index in itertools.count():
-    Journal.create(pathlib.Path(sys.argv[1]) / str(index), {"run_id": "r", "text": "x" * 100_000})
+    Journal.create(pathlib.Path(sys.argv[1]) / str(index), [{"type": "start", "run_id": "r", "text": "x" * 100_000}])
     print(index, flush=True)
 """
     for kill in range(5):
@@ -215,7 +221,7 @@ def test_every_announced_record_survives_kill_9(tmp_path: Path) -> None:
     script = """
 import itertools, sys
 from mobo_tuner.runs.journal import Journal
-journal = Journal.create(sys.argv[1], {"run_id": "r"})
+journal = Journal.create(sys.argv[1], [{"type": "start", "run_id": "r"}])
 for index in itertools.count():
     journal.append({"type": "evaluation", "index": index, "text": "x" * 5000})
     print(index, flush=True)

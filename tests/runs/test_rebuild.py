@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mobo_tuner.runs.journal import Record, read_journal
+from mobo_tuner.runs.journal import JsonRecord, read_journal
 from mobo_tuner.runs.rebuild import BagError, main, records_of_bag, runs_of_bag
-from robustness.lived_run import LivedRun, toy, toy_optimizer
+from mobo_tuner.runs.records import EndRecord
+from robustness.offline_run import OfflineRun, toy, toy_optimizer
 from robustness.synthetic_bag import write_bag
 
 # The parser that ROS's type support imports does so.
@@ -20,35 +21,35 @@ SEED = 7  # with failures, an operator's set-points and two changes
 CUTS = 60
 
 
-def lived(folder: Path, evaluations: int) -> list[Record]:
+def lived(folder: Path, evaluations: int) -> list[JsonRecord]:
     """The records of a run, without those of set-points that wait: they are not in a bag."""
-    run = LivedRun(folder, toy_optimizer(SEED), toy, SEED)
+    run = OfflineRun(folder, toy_optimizer(SEED), toy, SEED)
     for _ in range(evaluations):
         run.step()
-    run.log.append({"type": "end", "stamp": 9.0, "stop_reason": "budget", "error_msg": ""})
+    run.log.append(EndRecord(9.0, "budget"))
     run.log.close()
     return [record for record in read_journal(folder) if record["type"] != "queued"]
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Record]]:
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[JsonRecord]]:
     folder = tmp_path_factory.mktemp("runs")
     return {name: lived(folder / name, length) for name, length in (("one", 14), ("two", 5))}
 
 
 @pytest.fixture(scope="module")
-def bag(runs: dict[str, list[Record]], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bag(runs: dict[str, list[JsonRecord]], tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("bags") / "bag"
     write_bag(path, runs["one"])
     return path
 
 
-def steps(records: list[Record]) -> list[Record]:
+def steps(records: list[JsonRecord]) -> list[JsonRecord]:
     """What a run can be lived through again from."""
     return [record for record in records if record["type"] != "end"]
 
 
-def test_a_whole_bag_holds_the_whole_journal(bag: Path, runs: dict[str, list[Record]]) -> None:
+def test_a_whole_bag_holds_the_whole_journal(bag: Path, runs: dict[str, list[JsonRecord]]) -> None:
     assert {record["type"] for record in runs["one"]} == {"start", "change", "evaluation", "end"}
     assert steps(records_of_bag(bag)) == steps(runs["one"])
     end = records_of_bag(bag)[-1]
@@ -56,7 +57,7 @@ def test_a_whole_bag_holds_the_whole_journal(bag: Path, runs: dict[str, list[Rec
 
 
 def test_a_bag_that_was_cut_anywhere_holds_the_beginning(
-    bag: Path, runs: dict[str, list[Record]], tmp_path: Path
+    bag: Path, runs: dict[str, list[JsonRecord]], tmp_path: Path
 ) -> None:
     (whole,) = bag.glob("*.mcap")
     content = whole.read_bytes()
@@ -75,7 +76,7 @@ def test_a_bag_that_was_cut_anywhere_holds_the_beginning(
     assert len(set(counts)) > 5
 
 
-def test_of_several_runs_one_is_named(runs: dict[str, list[Record]], tmp_path: Path) -> None:
+def test_of_several_runs_one_is_named(runs: dict[str, list[JsonRecord]], tmp_path: Path) -> None:
     write_bag(tmp_path / "bag", runs["one"], runs["two"])
     assert set(runs_of_bag(tmp_path / "bag")) == {"one", "two"}
     assert steps(records_of_bag(tmp_path / "bag", "two")) == steps(runs["two"])

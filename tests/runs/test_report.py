@@ -17,9 +17,10 @@ from scipy.integrate import trapezoid
 from scipy.stats import spearmanr
 
 from mobo_tuner.core.problem import Problem
-from mobo_tuner.runs import report
 from mobo_tuner.runs.journal import FILE_NAME, Journal, JournalError, read_journal
 from mobo_tuner.runs.recorded_run import RecordedRun
+from mobo_tuner.runs.records import StartRecord, to_json
+from mobo_tuner.runs.report import command as report
 from mobo_tuner.runs.report.figures import (
     conflicting_pair,
     front_figure,
@@ -45,12 +46,14 @@ def evaluation(index: int, values: dict[str, float], **fields: Any) -> dict[str,
         "type": "evaluation",
         "index": index,
         "source": "initial" if index < 2 else "model",
+        "attempts": 1,
         "stamp": 1000.0 + index,
         "setpoint": {"x1": 0.5 * index},
         "readbacks": {"x1": 0.5 * index},
         "diagnostics": {name: [value, 0.1] for name, value in values.items()},
         "valid": True,
         "feasible": True,
+        "non_dominated": False,
         "error_code": 0,
         "error_msg": "",
         "hypervolume": 10.0 * index,
@@ -68,17 +71,20 @@ def write_run(
     end: dict[str, Any] | None = None,
 ) -> Path:
     """A run folder with its journal."""
-    header = {
-        "run_id": "run1",
-        "stamp": 1000.0,
-        "problem": Problem.from_dict(problem or TWO).to_dict(),
-        "settings": {"seed": 3, "preset": "default"},
-    }
-    with Journal.create(folder, header) as journal:
+    start = StartRecord(
+        "run1",
+        1000.0,
+        Problem.from_dict(problem or TWO),
+        {"seed": 3, "preset": "default", "model_input": "setpoint"},
+    )
+    with Journal.create(folder, [to_json(start)]) as journal:
         for record in evaluations:
+            if problem is not None:  # the set-points of `evaluation` are those of TWO
+                names = [v.name for v in start.problem.variables]
+                record = record | {"setpoint": dict.fromkeys(names, 0.0)}
             journal.append(record)
         if end is not None:
-            journal.append({"type": "end", "error_code": 0, "error_msg": "", **end})
+            journal.append({"type": "end", "stamp": None, "error_code": 0, "error_msg": "", **end})
     return folder
 
 
@@ -378,9 +384,9 @@ def test_a_summary_that_cannot_be_written_is_one_sentence(
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        ({"hypervolume": "much"}, "is not as it should be"),
+        ({"hypervolume": "much"}, "hypervolume is not valid: 'much'"),
         ({"setpoint": None}, None),
-        ({"diagnostics": None}, "is not as it should be"),
+        ({"diagnostics": None}, "diagnostics is not valid: None"),
     ],
 )
 def test_a_record_that_is_not_as_it_should_be(
@@ -398,6 +404,8 @@ def test_a_record_that_is_not_as_it_should_be(
 
 
 def test_a_start_without_a_problem(tmp_path: Path) -> None:
-    Journal.create(tmp_path, {"run_id": "r", "problem": {"variables": {}}}).close()
-    with pytest.raises(JournalError, match="holds no problem"):
+    Journal.create(
+        tmp_path, [{"type": "start", "version": 1, "run_id": "r", "problem": {}}]
+    ).close()
+    with pytest.raises(JournalError, match="record 1, 'start', of the journal is not valid"):
         report.write_report(tmp_path)

@@ -13,8 +13,9 @@ from mobo_tuner.core import Problem, ProblemError
 from mobo_tuner.errors import UserError
 from mobo_tuner.files import load_yaml
 from mobo_tuner.runs.journal import JournalError
+from mobo_tuner.runs.records import ChangeRecord
 from mobo_tuner.runs.resume_config import main, resume_config
-from robustness.lived_run import TOY, LivedRun, toy, toy_optimizer
+from robustness.offline_run import TOY, OfflineRun, toy, toy_optimizer
 
 OTHERS = {"awa_sim": {"ros__parameters": {"speed": 100.0}}, "tuner": {"ros__parameters": {}}}
 CONFIG = {"/**": {"ros__parameters": TOY}, **OTHERS}
@@ -22,10 +23,10 @@ NARROW = {"x1": {"min": -1.0, "max": 1.5}, "x2": {"min": -2.0, "max": 2.0}}
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> LivedRun:
+def run(tmp_path: Path) -> OfflineRun:
     """A run of three evaluations, with its configuration, going on."""
     folder = tmp_path / "earlier"
-    run = LivedRun(folder, toy_optimizer(1), toy, seed=1, events=False)
+    run = OfflineRun(folder, toy_optimizer(1), toy, seed=1, events=False)
     for _ in range(3):
         run.step()
     (folder / "config.yaml").write_text("# by hand\n" + yaml.safe_dump(CONFIG))
@@ -33,7 +34,7 @@ def run(tmp_path: Path) -> LivedRun:
 
 
 @pytest.fixture
-def folder(run: LivedRun, tmp_path: Path) -> Path:
+def folder(run: OfflineRun, tmp_path: Path) -> Path:
     run.log.close()
     return tmp_path / "earlier"
 
@@ -52,13 +53,12 @@ def test_a_run_that_was_not_changed_goes_on_with_its_own_file(folder: Path) -> N
 
 @pytest.mark.parametrize("layout", [CONFIG, TOY], ids=["sections", "plain"])
 def test_a_run_that_was_changed_goes_on_with_the_problem_as_it_was_in_the_end(
-    run: LivedRun, tmp_path: Path, layout: dict[str, Any]
+    run: OfflineRun, tmp_path: Path, layout: dict[str, Any]
 ) -> None:
     folder = tmp_path / "earlier"
     (folder / "config.yaml").write_text(yaml.safe_dump(layout))
     last = replace(Problem.from_dict({**TOY, "variables": NARROW}), constraints=())
-    change = {"type": "change", "stamp": 0.0, "index": 3, "budget": 9, "problem": last.to_dict()}
-    run.log.append(change)
+    run.log.append(ChangeRecord(0.0, 3, last, 9))
     run.log.close()
     content = resume_config(folder, None, None)
     assert content.startswith(b"# As run earlier was in the end.\n")

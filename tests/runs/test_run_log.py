@@ -1,15 +1,15 @@
-"""What is kept of a run while it goes on."""
+"""What is kept of a run while it continues."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.runs.journal import FILE_NAME, read_journal
+from mobo_tuner.runs.records import ChangeRecord, QueuedRecord, StartRecord
 from mobo_tuner.runs.run_log import RunLog
 from mobo_tuner.runs.saved_state import SavedState
 
@@ -19,8 +19,8 @@ PROBLEM = Problem.from_dict(
         "objectives": {"f": {"reference": 2.0}, "g": {"reference": 2.0}},
     }
 )
-HEADER: dict[str, Any] = {"run_id": "run", "stamp": 0.0, "problem": PROBLEM.to_dict()}
-CHANGE = {"type": "change", "stamp": 1.0, "index": 0, "problem": PROBLEM.to_dict(), "budget": 9}
+START = StartRecord("run", 0.0, PROBLEM, {})
+CHANGE = ChangeRecord(1.0, 0, PROBLEM, 9)
 
 
 def outlined(log: RunLog) -> list[str]:
@@ -28,15 +28,15 @@ def outlined(log: RunLog) -> list[str]:
 
 
 def test_the_outline_has_the_start_and_the_changes_alone() -> None:
-    log = RunLog(None, HEADER, [CHANGE])
-    log.append({"type": "evaluation", "index": 0})
-    log.append(CHANGE | {"index": 1})
+    log = RunLog(None, START, [CHANGE])
+    log.append(QueuedRecord(0.5, {"x": 0.5}))
+    log.append(ChangeRecord(2.0, 1, PROBLEM, 9))
     assert outlined(log) == ["start", "change", "change"]
 
 
 def test_a_record_is_on_disk_when_it_was_appended(tmp_path: Path) -> None:
-    log = RunLog(tmp_path / "run", HEADER, [CHANGE])
-    log.append({"type": "queued", "stamp": 2.0, "setpoint": {"x": 0.5}})
+    log = RunLog(tmp_path / "run", START, [CHANGE])
+    log.append(QueuedRecord(2.0, {"x": 0.5}))
     assert [r["type"] for r in read_journal(tmp_path / "run")] == ["start", "change", "queued"]
     log.close()
     log.close()
@@ -44,7 +44,7 @@ def test_a_record_is_on_disk_when_it_was_appended(tmp_path: Path) -> None:
 
 def test_the_saved_state_knows_how_far_the_run_was(tmp_path: Path) -> None:
     optimizer = Optimizer(PROBLEM, seed=0)
-    log = RunLog(tmp_path / "run", HEADER)
+    log = RunLog(tmp_path / "run", START)
     for index in range(3):
         optimizer.tell({"x": 0.3 * index}, {"f": float(index), "g": 1.0})
     log.append(CHANGE)
@@ -56,7 +56,7 @@ def test_the_saved_state_knows_how_far_the_run_was(tmp_path: Path) -> None:
 
 
 def test_a_state_that_cannot_be_written_stops_nothing(tmp_path: Path) -> None:
-    log = RunLog(tmp_path / "run", HEADER)
+    log = RunLog(tmp_path / "run", START)
     (tmp_path / "run" / "optimizer.json").mkdir()  # no file can take its place
     log.save(Optimizer(PROBLEM, seed=0))
     assert SavedState.read(tmp_path / "run") is None
@@ -64,8 +64,8 @@ def test_a_state_that_cannot_be_written_stops_nothing(tmp_path: Path) -> None:
 
 
 def test_a_run_is_never_overwritten(tmp_path: Path) -> None:
-    RunLog(tmp_path / "run", HEADER).close()
+    RunLog(tmp_path / "run", START).close()
     kept = (tmp_path / "run" / FILE_NAME).read_bytes()
     with pytest.raises(FileExistsError):
-        RunLog(tmp_path / "run", HEADER)
+        RunLog(tmp_path / "run", START)
     assert (tmp_path / "run" / FILE_NAME).read_bytes() == kept

@@ -12,7 +12,7 @@ from rclpy.task import Future
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint
-from mobo_tuner.machine.backend import RAMPING, Failure, Measurement, Operation
+from mobo_tuner.machine.backend import RAMPING, Failure, MachineBackend, Measurement, Operation
 from mobo_tuner.machine.server import MachineServer
 from mobo_tuner.ros.waiting import first_of
 from mobo_tuner.tuner.machine_client import CANCEL_TIMEOUT, Answer, MachineClient
@@ -21,7 +21,7 @@ RESULT = EvaluateSetpoint.Result
 TIME_TO_STOP = 2.0 * CANCEL_TIMEOUT
 
 
-class SluggishMachine:
+class SluggishMachine(MachineBackend):
     """Never arrives at x = 1, goes anywhere else at once, and is slow to end what was stopped."""
 
     name = "sluggish"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rclpy.node import Node
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Header
 
 from awa_sim_node.machine import ModelDescription, Shot
 from mobo_msgs_py import msg
@@ -53,5 +53,6 @@ class BeamTopics:
 
     def _message(self, values: Mapping[str, float]) -> msg.NamedValues:
         return msg.NamedValues(
-            stamp=self._node.get_clock().now().to_msg(), values=named_values(values, self._units)
+            header=Header(stamp=self._node.get_clock().now().to_msg()),
+            values=named_values(values, self._units),
         )

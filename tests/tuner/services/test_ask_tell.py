@@ -89,19 +89,23 @@ def test_a_loop_of_ones_own_gets_what_the_library_would_ask(
 
     own = loop.tell({"x1": 0.0, "x2": 0.0})
     assert own.evaluation.source == msg.Evaluation.OPERATOR
-    failed = loop.tell({"x1": 1.9, "x2": 1.9}, {"f1": 1.0, "f2": math.nan})
+    partly = loop.tell({"x1": 1.9, "x2": 1.9}, {"f1": 1.0, "f2": math.nan})
+    assert partly.success
+    assert partly.evaluation.valid
+    assert not partly.evaluation.feasible
+    failed = loop.tell({"x1": 1.8, "x2": 1.9}, {"f1": math.nan, "f2": math.nan})
     assert failed.success
     assert not failed.evaluation.valid
-    assert failed.evaluation.error_msg == "the client did not measure f2"
-    spin_until(lambda: len(evaluations.messages) == 10, "all evaluations")
+    assert failed.evaluation.error_code == EvaluateSetpoint.Result.INVALID_MEASUREMENT
+    spin_until(lambda: len(evaluations.messages) == 11, "all evaluations")
     run_id = evaluations.messages[0].run_id
     assert {m.run_id for m in evaluations.messages} == {run_id}
     listed = services.call(ListWorkingPoints, "list_working_points").measured
     assert listed.run_id == run_id
     assert [p.index for p in listed.points] == [p.index for p in fronts.messages[-1].points]
     records = journal(tmp_path, run_id)
-    assert [r["type"] for r in records] == ["start", *["evaluation"] * 10]
-    assert [r["valid"] for r in records[1:]] == [True] * 9 + [False]
+    assert [r["type"] for r in records] == ["start", *["evaluation"] * 11]
+    assert [r["valid"] for r in records[1:]] == [True] * 10 + [False]
 
 
 def test_readbacks_that_are_told_are_kept_and_learned_from(
@@ -156,7 +160,7 @@ def test_answers_that_are_late_double_or_foreign_are_dropped_with_a_warning(
 ) -> None:
     tuner = start_tuner("initial_evaluations:=4")
     x = {"x1": 0.0, "x2": 0.0}
-    stray = "run 'another' is not the one that is asked and told of now"
+    stray = "run 'another' is not the run of the last ask"
     assert loop.tell(x, run_id="another").message == stray
     asked = loop.ask()
     identity = {"run_id": asked.run_id, "index": asked.index}
@@ -201,7 +205,7 @@ def test_runs_and_loops_do_not_mix_and_changes_reach_both(
     spin_until(lambda: machine.goals, "an evaluation")
     for response in (loop.ask(), loop.tell({"x1": 0.0, "x2": 0.0})):
         assert not response.success
-        assert response.message == "run 'between' is going on; one run at a time is allowed"
+        assert response.message == "run 'between' is active; one run at a time is allowed"
     machine.held = False
     assert client.wait().evaluations == 3
 

@@ -84,7 +84,7 @@ def test_pause_step_resume_and_stop_after_this(
     for name in TRIGGERS:
         refused = desk.services.trigger(name)
         assert not refused.success
-        assert refused.message == f"'{name}' concerns a run that goes on, and there is none"
+        assert refused.message == f"'{name}' needs an active run; there is none"
 
     desk.start(run_id="steered", evaluations=50)
     assert desk.ask("pause") == "the run pauses before evaluation 1"

@@ -280,7 +280,7 @@ def evaluation_of(message: msg.Evaluation) -> Evaluation:
         index=message.index,
         source=source_of(message.source),
         attempts=message.attempts,
-        stamp=seconds(message.stamp),
+        stamp=seconds(message.header.stamp),
         setpoint=values_of(message.setpoint),
         readbacks=values_of(message.readbacks),
         diagnostics=values_of(message.diagnostics),

@@ -239,6 +239,17 @@ class Problem:
         return tuple(o.name for o in self.objectives)
 
     @property
+    def units(self) -> dict[str, str]:
+        """Unit of every quantity that has one."""
+        quantities: tuple[Constraint | Observable | Objective | Variable, ...] = (
+            *self.constraints,
+            *self.observables,
+            *self.objectives,
+            *self.variables,
+        )
+        return {quantity.name: quantity.unit for quantity in quantities if quantity.unit}
+
+    @property
     def required_diagnostics(self) -> tuple[str, ...]:
         """Diagnostics without which an evaluation is invalid: objectives and constrained ones."""
         return tuple(dict.fromkeys([*self.objective_names, *(c.name for c in self.constraints)]))

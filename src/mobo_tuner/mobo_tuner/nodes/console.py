@@ -21,7 +21,7 @@ from mobo_tuner.ros.qos import LATCHED
 from mobo_tuner.ros.waiting import until
 from mobo_tuner.runs.run_id import check_run_id, new_run_id
 
-RECORDED_TOPICS = ("problem", "evaluation", "status", "pareto_front")
+RECORDED_TOPICS = ("problem", "run_records", "evaluation", "status", "pareto_front")
 POLL_PERIOD = 0.05  # [s]
 CANCEL_TIMEOUT = 1.5  # [s] for a canceled run to give its result; a node has 2 s to stop
 

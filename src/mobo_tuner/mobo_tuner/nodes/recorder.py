@@ -29,6 +29,7 @@ from rosbags.interfaces import (
     QosTime,
 )
 from rosbags.rosbag2 import WriterError
+from std_msgs.msg import Header
 
 from mobo_msgs_py.msg import RecorderStatus
 from mobo_tuner.nodes.parameters import RECORDER
@@ -187,7 +188,7 @@ class Recorder:
     def _publish_status(self) -> None:
         self._publisher.publish(
             RecorderStatus(
-                stamp=self._node.get_clock().now().to_msg(),
+                header=Header(stamp=self._node.get_clock().now().to_msg()),
                 recording=self._recording,
                 path=str(self._bag.path),
                 topics=sorted(self._topics) if self._recording else [],

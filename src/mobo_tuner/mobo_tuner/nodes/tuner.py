@@ -17,26 +17,24 @@ from mobo_tuner.ros.parameters import (
 from mobo_tuner.ros.process import STOP_TIMEOUT, exit_process, run_node
 from mobo_tuner.ros.waiting import until
 from mobo_tuner.ros.worker import Worker
-from mobo_tuner.tuner.context import TunerParts
-from mobo_tuner.tuner.heartbeat import Heartbeat
+from mobo_tuner.tuner.context import TunerContext
 from mobo_tuner.tuner.machine_client import MachineClient
-from mobo_tuner.tuner.parameters import tuner_specs, with_method
+from mobo_tuner.tuner.parameters import TunerParameters, tuner_specs, with_method
 from mobo_tuner.tuner.problem_parameters import ProblemParameters
-from mobo_tuner.tuner.run.keeper import RunKeeper
+from mobo_tuner.tuner.run.loop import RunLoop
 from mobo_tuner.tuner.services.ask_tell import AskTell
-from mobo_tuner.tuner.services.parameter_changes import Changes
+from mobo_tuner.tuner.services.parameter_changes import ParameterChanges
 from mobo_tuner.tuner.services.steering import SteeringServices
 from mobo_tuner.tuner.services.tune import TuneServer
 from mobo_tuner.tuner.services.working_points import WorkingPoints
 from mobo_tuner.tuner.session import Session
-from mobo_tuner.tuner.status import Status
-from mobo_tuner.tuner.topics import TunerPublishers
+from mobo_tuner.tuner.topics import TunerTopics
 
 STOPPED = "the tuner was asked to stop"
 
 
 class Tuner:
-    """Puts the parts of the tuner together; nothing moves before someone asks for it."""
+    """Puts the parts of the tuner together; nothing moves before a client asks for it."""
 
     exit_code = None
 
@@ -51,38 +49,35 @@ class Tuner:
             given = given_parameters(self.node)
             specs = tuner_specs(given)
             refuse_unknown(given, [*(spec.name for spec in specs), *SECTIONS])
-            parameters = with_method(declare(self.node, specs))
+            parameters = TunerParameters.from_values(with_method(declare(self.node, specs)))
             problem = ProblemParameters(self.node)
-            method_of(parameters).check_problem(problem.problem)
+            method_of(parameters.values).check_problem(problem.problem)
         except UserError:
             self.node.destroy_node()
             raise
-        publishers = TunerPublishers(self.node, problem.problem)
-        self._parts = TunerParts(
+        self._context = context = TunerContext(
             node=self.node,
             parameters=parameters,
             worker=Worker(executor, "optimizer"),
             machine=MachineClient(
                 self.node,
-                silence_timeout=parameters["machine_timeout"],
-                evaluation_timeout=parameters["evaluation_timeout"],
+                silence_timeout=parameters.machine_timeout,
+                evaluation_timeout=parameters.evaluation_timeout,
             ),
-            publishers=publishers,
-            status=Status(self.node, publishers),
-            heartbeat=Heartbeat(self.node, parameters["client_timeout"]),
+            topics=TunerTopics(self.node, problem.problem, parameters.client_timeout),
             stopping=Future(executor=executor),
         )
         self._session = session = Session()
-        changes = Changes(self._parts, problem, session.current)
-        keeper = RunKeeper(self._parts, session)
-        self._steering = SteeringServices(self._parts, session.current)
-        self._working_points = WorkingPoints(self._parts, session, keeper)
-        self._ask_tell = AskTell(self._parts, session, lambda: changes.problem)
-        self._tune = TuneServer(self._parts, session, keeper, lambda: changes.problem)
+        loop = RunLoop(context, session)
+        self._changes = ParameterChanges(context, problem, session)
+        self._steering = SteeringServices(context, session)
+        self._working_points = WorkingPoints(context, session, loop)
+        self._ask_tell = AskTell(context, session, problem)
+        self._tune = TuneServer(context, session, loop, problem)
 
     async def stop(self) -> None:
-        """End what goes on, with what it has."""
-        self._parts.stopping.set_result(STOPPED)
+        """End what is being done, with what there is."""
+        self._context.stopping.set_result(STOPPED)
         if self._session.run is not None:
             self._session.run.stop(STOPPED)
         self._working_points.stop(STOPPED)
@@ -91,7 +86,7 @@ class Tuner:
 
     def close(self) -> None:
         """Release the worker and the node."""
-        self._parts.worker.shutdown()
+        self._context.worker.shutdown()
         self.node.destroy_node()
 
 

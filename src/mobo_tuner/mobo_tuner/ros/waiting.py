@@ -9,7 +9,9 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 
-_STEADY = Clock(clock_type=ClockType.STEADY_TIME)  # timeouts are wall time, also in simulated time
+STEADY_CLOCK = Clock(
+    clock_type=ClockType.STEADY_TIME
+)  # timeouts are wall time, also in simulated time
 
 
 async def first_of(node: Node, *futures: Future, timeout: float) -> Future | None:
@@ -24,7 +26,7 @@ async def first_of(node: Node, *futures: Future, timeout: float) -> Future | Non
         if future.done():
             return future
         future.add_done_callback(notify)
-    timer = node.create_timer(timeout, notify, clock=_STEADY)
+    timer = node.create_timer(timeout, notify, clock=STEADY_CLOCK)
     try:
         await signal
     finally:

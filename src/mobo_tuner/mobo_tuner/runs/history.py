@@ -1,45 +1,37 @@
-"""What happened in a run, step by step, as its journal tells it: enough to live through it again.
+"""What happened in a run, step by step, as its journal tells it: enough to replay the run.
 
-Nothing in a journal is trusted: what is not as it should be is named in one sentence.
+Nothing in a journal is trusted: what is not valid is named in one sentence.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from mobo_tuner.core.dataset import Measured
-from mobo_tuner.core.problem import Problem, ProblemError
-from mobo_tuner.runs.journal import JournalError, Record
+from mobo_tuner.core.problem import Problem
+from mobo_tuner.runs.journal import JournalError, JsonRecord
+from mobo_tuner.runs.records import (
+    ChangeRecord,
+    EndRecord,
+    EvaluationRecord,
+    Measurements,
+    QueuedRecord,
+    Record,
+    StartRecord,
+    Values,
+    from_json,
+)
 
-SOURCES = ("initial", "model", "operator")
-SETPOINT, READBACK = "setpoint", "readback"  # what the models of a tuner learn from
-_FIGURES = ("stamp", "hypervolume", "suggest_seconds", "machine_seconds", "total_seconds")
+SETPOINT, READBACK = "setpoint", "readback"
+"""What the models of a tuner learn from."""
 
+INVALID_MEASUREMENT = 5
+"""Error code of `EvaluateSetpoint.Result`: a diagnostic could not be measured."""
 
-@dataclass(frozen=True)
-class Told:
-    """An evaluation: where it was, where that came from, and what the optimiser was told of it.
-
-    `readbacks` are empty where the optimiser was not told of them.
-    """
-
-    index: int
-    source: str
-    setpoint: Mapping[str, float]
-    outputs: Mapping[str, Measured | None]
-    readbacks: Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class Changed:
-    """Another problem or budget from the evaluation `index` on."""
-
-    index: int
-    problem: Problem
-    budget: int
+Step = EvaluationRecord | ChangeRecord
 
 
 @dataclass(frozen=True)
@@ -47,205 +39,197 @@ class History:
     """A run from its start.
 
     Attributes:
-        run_id: its name.
-        problem: with which it began.
-        settings: of the tuner when it began.
-        steps: evaluations and changes in their order.
-        waiting: set-points of operators that were not evaluated yet, in their order.
-        records: of the journal that tell all this, but for the start.
+        start: Its first record.
+        records: All others but the end, in their order: steps and queued set-points.
+        waiting: Set-points of operators that were not evaluated yet, in their order.
+        end: Its last record; None if the run has not ended or was killed.
     """
 
-    run_id: str
-    problem: Problem
-    settings: Mapping[str, Any]
-    steps: tuple[Told | Changed, ...]
-    waiting: tuple[Mapping[str, float], ...]
-    records: tuple[Record, ...]
+    start: StartRecord
+    records: tuple[EvaluationRecord | ChangeRecord | QueuedRecord, ...]
+    waiting: tuple[Values, ...]
+    end: EndRecord | None
 
     @classmethod
-    def from_records(cls, records: Sequence[Record]) -> History:
-        """Build it from the records of a journal; those of other kinds are passed over.
+    def from_records(cls, records: Sequence[JsonRecord]) -> History:
+        """Build it from the records of a journal; types that are not known are skipped.
 
         Raises:
-            JournalError: a record is not as it should be.
+            JournalError: If a record is not valid or does not follow from those before it.
         """
-        start = records[0]
-        problem = _checked("the start record", lambda: _problem(start))
-        settings = start.get("settings")
-        if not isinstance(settings, dict) or not isinstance(start.get("run_id"), str):
-            raise JournalError("the start record of the journal lacks run_id or settings")
-        settings.setdefault("model_input", SETPOINT)  # journals before there was a choice lack it
-        if settings["model_input"] not in (SETPOINT, READBACK):
-            raise JournalError(
-                f"model_input is {settings['model_input']!r:.40} in the start record of the journal"
-            )
-        history = _Builder(problem, settings["model_input"])
-        kept = []
-        for number, record in enumerate(records[1:], start=2):
-            where = f"record {number}, {record['type']!r:.20},"
-            if _checked(where, lambda r=record: history.add(r)):  # type: ignore[misc]
-                kept.append(record)
-        return cls(
-            run_id=start["run_id"],
-            problem=problem,
-            settings=settings,
-            steps=tuple(history.steps),
-            waiting=tuple(history.waiting),
-            records=tuple(kept),
-        )
+        builder = _Builder()
+        for number, content in enumerate(records, start=1):
+            try:
+                record = from_json(content)
+                if record is not None:
+                    builder.add(record)
+            except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
+                where = f"record {number}, {content.get('type')!r:.20}, of the journal"
+                raise JournalError(f"{where} is not valid: {error}") from None
+        return builder.history()
 
     @property
-    def evaluations(self) -> list[Told]:
-        """The evaluations in their order."""
-        return [step for step in self.steps if isinstance(step, Told)]
+    def run_id(self) -> str:
+        """Name of the run."""
+        return self.start.run_id
 
     @property
-    def changes(self) -> list[Changed]:
-        """The changes in their order."""
-        return [step for step in self.steps if isinstance(step, Changed)]
+    def problem(self) -> Problem:
+        """Problem at the start."""
+        return self.start.problem
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Settings of the tuner at the start."""
+        return self.start.settings
+
+    @property
+    def model_input(self) -> str:
+        """What the models learn from: SETPOINT or READBACK."""
+        return str(self.settings["model_input"])
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """Evaluations and changes in their order."""
+        return tuple(r for r in self.records if not isinstance(r, QueuedRecord))
+
+    @property
+    def evaluations(self) -> list[EvaluationRecord]:
+        """Evaluations in their order."""
+        return [record for record in self.records if isinstance(record, EvaluationRecord)]
+
+    @property
+    def changes(self) -> list[ChangeRecord]:
+        """Changes in their order."""
+        return [record for record in self.records if isinstance(record, ChangeRecord)]
 
     @property
     def last_problem(self) -> Problem:
-        """What was tuned in the end."""
+        """Problem at the end."""
         changes = self.changes
         return changes[-1].problem if changes else self.problem
 
     @property
     def budget(self) -> int:
-        """Evaluations that were allowed in the end; 0 where that is not known."""
+        """Evaluations that were allowed at the end; 0 if unknown."""
         changes = self.changes
-        return changes[-1].budget if changes else _whole(self.settings.get("budget", 0))
+        return changes[-1].budget if changes else int(self.settings.get("budget", 0))
 
 
-def told_outputs(
-    problem: Problem, diagnostics: Mapping[str, tuple[float, float]], error_code: int
-) -> dict[str, Measured | None]:
-    """What the diagnostics of an evaluation teach; those of a failed one teach nothing."""
-    hidden = problem.required_diagnostics if error_code else ()
-    return {name: pair for name, pair in diagnostics.items() if name not in hidden}
+class Told(NamedTuple):
+    """What an optimiser is told of an evaluation: the arguments of `Optimizer.tell`."""
+
+    setpoint: Values
+    outputs: Mapping[str, Measured | None]
+    readbacks: Values
+    failed: bool | None
 
 
-def told_readbacks(
-    problem: Problem, readbacks: Mapping[str, float], model_input: str
-) -> dict[str, float]:
-    """What the readbacks of an evaluation teach: nothing where the models learn from set-points."""
+def told(
+    problem: Problem,
+    setpoint: Values,
+    diagnostics: Measurements,
+    readbacks: Values,
+    error_code: int,
+    model_input: str,
+) -> Told:
+    """Return what an evaluation teaches; readbacks only where the models learn from them."""
+    outputs = dict(diagnostics)
+    failed = _failed(problem, diagnostics, error_code)
     if model_input == SETPOINT:
-        return {}
-    return {name: readbacks[name] for name in problem.variable_names if name in readbacks}
+        return Told(setpoint, outputs, {}, failed)
+    known = {name: readbacks[name] for name in problem.variable_names if name in readbacks}
+    return Told(setpoint, outputs, known, failed)
+
+
+def _failed(problem: Problem, diagnostics: Measurements, error_code: int) -> bool | None:
+    """Return whether the machine reported a failure; None lets the outputs decide.
+
+    If one diagnostic could not be measured, the others are learned all the same.
+    """
+    unknown = (math.nan, math.nan)
+    measured = {
+        math.isfinite(diagnostics.get(name, unknown)[0]) for name in problem.required_diagnostics
+    }
+    partly = measured == {True, False}
+    return None if not error_code or (error_code == INVALID_MEASUREMENT and partly) else True
+
+
+def told_of(record: EvaluationRecord, problem: Problem, model_input: str) -> Told:
+    """Return what a recorded evaluation teaches about a problem."""
+    return told(
+        problem,
+        record.setpoint,
+        record.diagnostics,
+        record.readbacks,
+        record.error_code,
+        model_input,
+    )
 
 
 class _Builder:
-    """Puts steps together and checks that each follows from those before."""
+    """Puts records together and checks that each follows from those before."""
 
-    def __init__(self, problem: Problem, model_input: str) -> None:
-        self.steps: list[Told | Changed] = []
-        self.waiting: list[Mapping[str, float]] = []
-        self._problem = problem
-        self._model_input = model_input
+    def __init__(self) -> None:
+        self._start: StartRecord | None = None
+        self._records: list[EvaluationRecord | ChangeRecord | QueuedRecord] = []
+        self._waiting: list[Values] = []
+        self._end: EndRecord | None = None
         self._count = 0
 
-    def add(self, record: Record) -> bool:
-        """Take up one record; return whether it is of a kind that matters.
+    def history(self) -> History:
+        """Return the history of what was added."""
+        if self._start is None:
+            raise JournalError("the journal has no start record")
+        return History(self._start, tuple(self._records), tuple(self._waiting), self._end)
+
+    def add(self, record: Record) -> None:
+        """Add one record.
 
         Raises:
-            ValueError, TypeError, KeyError, AttributeError, OverflowError: it cannot be right.
+            ValueError: If it does not follow from those before.
         """
-        if record["type"] == "evaluation":
-            self._add_evaluation(record)
-        elif record["type"] == "change":
-            self._add_change(record)
-        elif record["type"] == "queued":
-            self.waiting.append(self._setpoint(record))
+        if isinstance(record, StartRecord):
+            if self._start is not None:
+                raise ValueError("a second start")
+            _check_settings(record.settings)
+            self._start = record
+            self._problem = record.problem
+            return
+        if self._start is None:
+            raise ValueError("it precedes the start")
+        if isinstance(record, EndRecord):
+            self._end = record
+            return
+        if isinstance(record, EvaluationRecord):
+            self._check_index(record.index)
+            self._problem.normalize(record.setpoint)
+            self._take_from_queue(record)
+            self._count += 1
+        elif isinstance(record, ChangeRecord):
+            self._check_index(record.index)
+            if set(record.problem.variable_names) != set(self._problem.variable_names):
+                raise ValueError("its variables are not those of the start")
+            self._problem = record.problem
         else:
-            return False
-        return True
+            self._problem.normalize(record.setpoint)
+            self._waiting.append(record.setpoint)
+        self._records.append(record)
 
-    def _add_evaluation(self, record: Record) -> None:
-        if _whole(record["index"]) != self._count:
-            raise ValueError(f"its index is {record['index']!r:.20} instead of {self._count}")
-        if record["source"] not in SOURCES:
-            raise ValueError(f"its source is {record['source']!r:.40}")
-        setpoint = self._setpoint(record)
-        diagnostics = {
-            _name(name): _pair(value) for name, value in _mapping(record["diagnostics"]).items()
-        }
-        for name in ("valid", "feasible"):
-            if not isinstance(record[name], bool):
-                raise ValueError(f"{name} is {record[name]!r:.40}")
-        for name in _FIGURES:
-            _known(record[name])
-        readbacks = {name: _known(v) for name, v in _mapping(record["readbacks"]).items()}
-        if not isinstance(record["error_msg"], str):
-            raise ValueError(f"error_msg is {record['error_msg']!r:.40}")
-        record.setdefault("attempts", 1)  # journals before it was counted lack it
-        _whole(record["attempts"])
-        outputs = told_outputs(self._problem, diagnostics, _whole(record["error_code"]))
-        if record["source"] == "operator" and setpoint in self.waiting:
-            # Those before it in the queue were dropped.
-            del self.waiting[: self.waiting.index(setpoint) + 1]
-        told = told_readbacks(self._problem, readbacks, self._model_input)
-        self.steps.append(Told(self._count, record["source"], setpoint, outputs, told))
-        self._count += 1
+    def _check_index(self, index: int) -> None:
+        if index != self._count:
+            raise ValueError(f"its index is {index} instead of {self._count}")
 
-    def _add_change(self, record: Record) -> None:
-        problem = _problem(record)
-        if set(problem.variable_names) != set(self._problem.variable_names):
-            raise ValueError("its variables are others than those of the start")
-        if _whole(record["index"]) != self._count:
-            raise ValueError(f"its index is {record['index']!r:.20} instead of {self._count}")
-        self._problem = problem
-        self.steps.append(Changed(self._count, problem, _whole(record["budget"])))
-
-    def _setpoint(self, record: Record) -> dict[str, float]:
-        setpoint = _mapping(record["setpoint"])
-        self._problem.normalize(setpoint)
-        return {name: float(value) for name, value in setpoint.items()}
+    def _take_from_queue(self, record: EvaluationRecord) -> None:
+        """Remove an operator's set-point, and those before it in the queue, which were dropped."""
+        if record.source == "operator" and record.setpoint in self._waiting:
+            del self._waiting[: self._waiting.index(record.setpoint) + 1]
 
 
-def _checked(where: str, build: Callable[[], Any]) -> Any:
-    try:
-        return build()
-    except ProblemError as error:
-        raise JournalError(f"{where} of the journal is not as it should be: {error}") from None
-    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
-        what = f"it lacks {error}" if isinstance(error, KeyError) else error
-        raise JournalError(f"{where} of the journal is not as it should be: {what}") from None
-
-
-def _problem(record: Record) -> Problem:
-    return Problem.from_dict(record["problem"])
-
-
-def _mapping(value: Any) -> Mapping[str, Any]:
-    if not isinstance(value, dict):
-        raise ValueError(f"{value!r:.40} stands where names and values should")
-    return value
-
-
-def _name(value: str) -> str:
-    if len(value) > 1000:
-        raise ValueError(f"the name {value[:40]!r}... is too long")
-    return value
-
-
-def _pair(value: Any) -> tuple[float, float]:
-    """Mean and standard deviation; null stands for what is not known."""
-    if not isinstance(value, list) or len(value) != 2:
-        raise ValueError(f"{value!r:.40} stands where a mean and a standard deviation should")
-    return _known(value[0]), _known(value[1])
-
-
-def _known(value: Any) -> float:
-    return math.nan if value is None else _number(value)
-
-
-def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{value!r:.40} stands where a number should")
-    return float(value)
-
-
-def _whole(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**31:
-        raise ValueError(f"{value!r:.40} stands where a whole number of at least 0 should")
-    return value
+def _check_settings(settings: Mapping[str, Any]) -> None:
+    model_input = settings.get("model_input")
+    if model_input not in (SETPOINT, READBACK):
+        raise ValueError(f"model_input is {model_input!r:.40}; {SETPOINT}, {READBACK} are allowed")
+    budget = settings.get("budget", 0)
+    if isinstance(budget, bool) or not isinstance(budget, int) or budget < 0:
+        raise ValueError(f"budget is {budget!r:.40}; an integer of at least 0 is allowed")

@@ -1,22 +1,7 @@
-"""The journal of a run: one line of JSON per event, on disk before the run goes on.
+"""The journal of a run: one JSON object per line, on disk before the run continues.
 
-A run folder holds `journal.jsonl`, from which alone its report is made. Records:
-
-- ``start``, always the first: `run_id`, `stamp`, `problem` (as `Problem.to_dict` gives it),
-  `settings`; where the run goes on with an earlier one also `resumed_from`, with the `run_id` of
-  that one and the number of `evaluations` that were taken over from it;
-- ``evaluation``, one per evaluation: `index`, `source` (``initial``, ``model`` or ``operator``),
-  `attempts`, `stamp`, `setpoint` and `readbacks` ({name: value}), `diagnostics` ({name: [mean,
-  standard deviation]}), `valid`, `feasible`, `error_code`, `error_msg`, `hypervolume`,
-  `suggest_seconds`, `machine_seconds`, `total_seconds`;
-- ``change``, where the problem or the budget was changed: `stamp`, `index` of the next evaluation,
-  `problem`, `budget`;
-- ``queued``, a set-point that an operator gave: `stamp`, `setpoint`. It waits until an evaluation
-  with the source ``operator`` has it;
-- ``end``, the last of a run that was not killed: `stop_reason`, `error_code`, `error_msg`.
-
-Stamps are seconds since the epoch. The JSON is strict: a number that is not finite is written as
-null, which reads as "not measured" or "unknown".
+A run folder holds `journal.jsonl`; its report is made from it alone. What the records hold is defined in
+`records`. The JSON is strict: a number that is not finite is written as null.
 """
 
 from __future__ import annotations
@@ -37,18 +22,18 @@ from mobo_tuner.errors import UserError
 FILE_NAME = "journal.jsonl"
 MAX_BYTES = 1 << 30  # of a journal that is read: half a million evaluations
 
-Record = dict[str, Any]
+JsonRecord = dict[str, Any]
 
 
 class JournalError(UserError):
-    """A journal that cannot be read; the message is one sentence for the user."""
+    """A journal that cannot be read."""
 
 
 class Journal:
     """An append-only journal, open for writing; build one with :meth:`create`.
 
     Attributes:
-        path: of the file.
+        path: Path of the file.
     """
 
     def __init__(self, path: Path, descriptor: int) -> None:
@@ -58,22 +43,19 @@ class Journal:
         self._lock = threading.Lock()  # one line at a time, whichever thread it comes from
 
     @classmethod
-    def create(
-        cls, run_dir: str | Path, header: Mapping[str, Any], earlier: Sequence[Record] = ()
-    ) -> Journal:
+    def create(cls, run_dir: str | Path, records: Sequence[Mapping[str, Any]]) -> Journal:
         """Start the journal of a run in its folder, which is made if it is missing.
 
         Args:
-            run_dir: the run's folder.
-            header: what the ``start`` record holds beside its type.
-            earlier: records with which the run begins, taken over from another one.
+            run_dir: Folder of the run.
+            records: Its start record, and the records taken over from the run that it resumes.
 
         Raises:
-            FileExistsError: the folder holds a journal already.
-            OSError: the folder or the file cannot be written.
-            ValueError: the header cannot be written as JSON.
+            FileExistsError: If the folder holds a journal already.
+            OSError: If the folder or the file cannot be written.
+            ValueError: If a record cannot be written as JSON.
         """
-        lines = b"".join(map(journal_line, [{"type": "start", **header}, *earlier]))
+        lines = b"".join(map(journal_line, records))
         folder = Path(run_dir)
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / FILE_NAME
@@ -96,8 +78,8 @@ class Journal:
         """Write one record; it is on disk when this returns.
 
         Raises:
-            OSError: it could not be written; the journal then holds nothing of it.
-            ValueError: the record has no type, cannot be written as JSON, or the journal is closed.
+            OSError: If it could not be written; the journal then holds nothing of it.
+            ValueError: If the record has no type, cannot be written as JSON, or the journal is closed.
         """
         if not isinstance(record.get("type"), str):
             raise ValueError(f"a journal record needs a type, which {dict(record)!r:.80} lacks")
@@ -132,7 +114,7 @@ class Journal:
             self._size += len(lines)
 
 
-def read_journal(path: str | Path) -> list[Record]:
+def read_journal(path: str | Path) -> list[JsonRecord]:
     """Read a journal's records in order.
 
     A last line that is incomplete or damaged is left out: that is how a killed process leaves it.
@@ -155,7 +137,7 @@ def read_journal(path: str | Path) -> list[Record]:
     return parse_journal(content, f"the journal '{file}'")
 
 
-def parse_journal(content: bytes, name: str) -> list[Record]:
+def parse_journal(content: bytes, name: str) -> list[JsonRecord]:
     """The records in the lines of a journal; `name` says in complaints where they come from.
 
     Raises:
@@ -176,7 +158,7 @@ def parse_journal(content: bytes, name: str) -> list[Record]:
     return records
 
 
-def _record(line: bytes) -> Record | None:
+def _record(line: bytes) -> JsonRecord | None:
     try:
         record = json.loads(line)
     except (ValueError, RecursionError):

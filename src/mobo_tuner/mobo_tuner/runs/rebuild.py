@@ -2,7 +2,7 @@
 
 `python -m mobo_tuner.runs.rebuild BAG RUN_FOLDER` writes `journal.jsonl` into a folder that has none.
 
-The topic `problem` carries how the run was set up and changed, `evaluation` what was measured, and
+The topic `run_records` carries how the run was set up and changed, `evaluation` what was measured, and
 `status` how it ended. Messages are decoded by the definitions that are installed here, never by
 code made from what the bag says of itself.
 """
@@ -24,12 +24,12 @@ from rosbags.typesys.store import Typestore
 from mobo_tuner.errors import UserError
 from mobo_tuner.runs.definitions import DefinitionError, find_definition
 from mobo_tuner.runs.history import History
-from mobo_tuner.runs.journal import Journal, JournalError, Record, journal_line, parse_journal
+from mobo_tuner.runs.journal import Journal, JournalError, JsonRecord, journal_line, parse_journal
 from mobo_tuner.runs.mcap_records import McapError, Message, read_messages
-from mobo_tuner.runs.records import evaluation_record, seconds
+from mobo_tuner.runs.records import EndRecord, from_message, seconds, to_json
 
-PROBLEM, EVALUATION, STATUS = TYPES = (
-    "mobo_msgs_py/msg/Problem",
+OUTLINE, EVALUATION, STATUS = TYPES = (
+    "mobo_msgs_py/msg/RunRecords",
     "mobo_msgs_py/msg/Evaluation",
     "mobo_msgs_py/msg/TunerStatus",
 )
@@ -49,11 +49,11 @@ class BaggedRun:
         end: its end record, if it ended.
     """
 
-    outline: list[Record] = field(default_factory=list)
-    evaluations: dict[int, Record] = field(default_factory=dict)
-    end: Record | None = None
+    outline: list[JsonRecord] = field(default_factory=list)
+    evaluations: dict[int, JsonRecord] = field(default_factory=dict)
+    end: JsonRecord | None = None
 
-    def journal(self) -> list[Record]:
+    def journal(self) -> list[JsonRecord]:
         """The records of its journal, as far as all before them are there, too."""
         start, *changes = self.outline
         records = [start]
@@ -92,7 +92,7 @@ def runs_of_bag(path: Path) -> dict[str, BaggedRun]:
     return runs
 
 
-def records_of_bag(path: Path, run_id: str | None = None) -> list[Record]:
+def records_of_bag(path: Path, run_id: str | None = None) -> list[JsonRecord]:
     """The records of a run's journal, from its bag.
 
     Args:
@@ -108,12 +108,12 @@ def records_of_bag(path: Path, run_id: str | None = None) -> list[Record]:
     names = [run_id] if run_id is not None else list(runs)
     if not names or names[0] not in runs:
         which = "no run" if run_id is None else f"no run '{run_id[:120]}'"
-        raise BagError(f"the bag '{path}' holds {which} with its problem")
+        raise BagError(f"the bag '{path}' holds {which} with its records")
     records = runs[names[0]].journal()
     try:
         History.from_records(records)
     except JournalError as error:
-        raise BagError(f"the bag '{path}' tells no run: {error}") from None
+        raise BagError(f"the bag '{path}' holds no run that can be rebuilt: {error}") from None
     return records
 
 
@@ -131,25 +131,24 @@ def _take(message: Message, runs: dict[str, BaggedRun]) -> None:
         return
     run = runs.setdefault(run_id, BaggedRun())
     try:
-        if name == PROBLEM:
-            outline = parse_journal(content.records.encode(), "the topic 'problem'")
+        if name == OUTLINE:
+            outline = parse_journal(content.records.encode(), "the topic 'run_records'")
             if len(outline) >= len(run.outline):
                 run.outline = outline
         elif name == EVALUATION:
-            record = _strict(evaluation_record(content))
+            record = _strict(to_json(from_message(content)))
             run.evaluations.setdefault(record["index"], record)
         elif content.stop_reason and run.end is None:
-            run.end = {
-                "type": "end",
-                "stamp": seconds(content.stamp),
-                "stop_reason": content.stop_reason,
-                "error_msg": content.message,
-            }
-    except (IndexError, JournalError, ValueError):
+            run.end = to_json(
+                EndRecord(
+                    seconds(content.header.stamp), content.stop_reason, error_msg=content.message
+                )
+            )
+    except (JournalError, ValueError):
         return
 
 
-def _strict(record: Record) -> Record:
+def _strict(record: JsonRecord) -> JsonRecord:
     """A record as it is read from a journal.
 
     Raises:
@@ -174,18 +173,17 @@ def _fields(definition: str) -> tuple[str, ...]:
     return tuple(line for line in lines if line and not line.startswith("===="))
 
 
-def write_run(records: Sequence[Record], run_dir: Path) -> None:
+def write_run(records: Sequence[JsonRecord], run_dir: Path) -> None:
     """Write the journal of a rebuilt run.
 
     Raises:
         FileExistsError: there is one already.
         OSError: it cannot be written.
     """
-    start = {key: value for key, value in records[0].items() if key != "type"}
-    Journal.create(run_dir, start, records[1:]).close()
+    Journal.create(run_dir, records).close()
 
 
-def _kinds(records: Iterable[Record]) -> str:
+def _kinds(records: Iterable[JsonRecord]) -> str:
     counts = {"evaluation": 0, "change": 0}
     for record in records:
         if record["type"] in counts:

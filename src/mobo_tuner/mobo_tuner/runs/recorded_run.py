@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from mobo_tuner.core.dataset import Dataset
 from mobo_tuner.core.pareto import is_below, is_nondominated
-from mobo_tuner.core.problem import Array, Problem, ProblemError
-from mobo_tuner.runs.history import History
-from mobo_tuner.runs.journal import JournalError, Record
+from mobo_tuner.core.problem import Array, Problem
+from mobo_tuner.runs.history import History, told_of
+from mobo_tuner.runs.journal import JsonRecord
 
 BoolArray = NDArray[np.bool_]
 
-UNFINISHED = "unfinished"  # stop reason of a run without an end: it goes on, or was killed
+UNFINISHED = "unfinished"  # stop reason of a run without an end: it continues, or was killed
 
 
 @dataclass(frozen=True)
@@ -26,20 +26,19 @@ class RecordedRun:
     """A run of n evaluations in P objectives.
 
     Attributes:
-        run_id: its name.
-        problem: what was tuned, as it was in the end.
-        settings: what the tuner was set to.
-        started: when it started [s since the epoch]; NaN if unknown.
-        finished: when it ended; NaN if unknown or if it did not.
+        run_id: Name of the run.
+        problem: Problem at the end.
+        settings: Settings of the tuner.
+        started: When it started [s since the epoch]; NaN if unknown.
+        finished: When it ended; NaN if unknown or if it did not.
         stop_reason: ``budget``, ``hypervolume_goal``, ``canceled``, ``error`` or ``unfinished``.
-        error_msg: one sentence after an error; empty otherwise.
-        indices: of the evaluations, shape ``(n,)``.
-        setpoints: as they were asked for.
-        objectives: as measured, in their own units, shape ``(n, P)``; NaN where not measured.
-        initial, valid, feasible: of what kind each evaluation is, shape ``(n,)`` each; by the problem
-            as it was in the end.
-        hypervolumes: after each evaluation, shape ``(n,)``.
-        suggest_seconds, machine_seconds, total_seconds: of each evaluation, shape ``(n,)`` each.
+        error_msg: One sentence after an error; empty otherwise.
+        indices: Indices of the evaluations, shape ``(n,)``.
+        setpoints: Set-points as they were asked for.
+        objectives: Objectives as measured, in their own units, shape ``(n, P)``; NaN if not measured.
+        initial, valid, feasible: Kind of each evaluation, shape ``(n,)`` each; by the problem at the end.
+        hypervolumes: Hypervolume after each evaluation, shape ``(n,)``.
+        suggest_seconds, machine_seconds, total_seconds: Times of each evaluation, shape ``(n,)`` each [s].
     """
 
     run_id: str
@@ -61,65 +60,60 @@ class RecordedRun:
     total_seconds: Array
 
     @classmethod
-    def from_records(cls, records: Sequence[Record]) -> RecordedRun:
+    def from_records(cls, records: Sequence[JsonRecord]) -> RecordedRun:
         """Build it from the records of a journal.
 
         Raises:
-            JournalError: a record lacks what it should hold.
+            JournalError: If a record is not valid.
         """
-        start = records[0]
-        evaluations = [record for record in records if record["type"] == "evaluation"]
-        ends = [record for record in records if record["type"] == "end"]
-        end: Record = ends[-1] if ends else {"stop_reason": UNFINISHED}
-        changes = [record for record in records if record["type"] == "change"]
-        try:
-            problem = Problem.from_dict((changes[-1] if changes else start)["problem"])
-            valid = np.array([e["valid"] for e in evaluations], dtype=bool)
-            feasible = np.array([e["feasible"] for e in evaluations], dtype=bool)
-            if changes:
-                valid, feasible = _judge_anew(records, problem)
-            objectives = [
-                [_mean(e["diagnostics"].get(name)) for name in problem.objective_names]
+        history = History.from_records(records)
+        evaluations, end = history.evaluations, history.end
+        problem = history.last_problem
+        valid = np.array([e.valid for e in evaluations], dtype=bool)
+        feasible = np.array([e.feasible for e in evaluations], dtype=bool)
+        if history.changes:
+            dataset = Dataset(problem)
+            for evaluation in evaluations:
+                dataset.add(*told_of(evaluation, problem, history.model_input))
+            valid, feasible = dataset.valid, dataset.feasible
+        unknown = (math.nan, math.nan)
+        objectives = np.array(
+            [
+                [e.diagnostics.get(name, unknown)[0] for name in problem.objective_names]
                 for e in evaluations
-            ]
-            values = np.array(objectives, dtype=float).reshape(
-                len(evaluations), len(problem.objectives)
-            )
-            settings = start.get("settings") or {}
-            initial = settings.get("initial_evaluations") or 2 * (len(problem.variables) + 1)
-            signs = [o.sign for o in problem.objectives]
-            problem = problem.with_references(values * signs, valid, feasible, initial)
-            return cls(
-                run_id=str(start["run_id"]),
-                problem=problem,
-                settings=settings,
-                started=_number(start.get("stamp")),
-                finished=_number(end.get("stamp")),
-                stop_reason=str(end["stop_reason"]),
-                error_msg=str(end.get("error_msg") or ""),
-                indices=np.array([e["index"] for e in evaluations], dtype=np.int64),
-                setpoints=[e["setpoint"] for e in evaluations],
-                objectives=values,
-                initial=np.array([e["source"] == "initial" for e in evaluations], dtype=bool),
-                valid=valid,
-                feasible=feasible,
-                hypervolumes=_column(evaluations, "hypervolume"),
-                suggest_seconds=_column(evaluations, "suggest_seconds"),
-                machine_seconds=_column(evaluations, "machine_seconds"),
-                total_seconds=_column(evaluations, "total_seconds"),
-            )
-        except JournalError:
-            raise
-        except KeyError as error:
-            raise JournalError(f"a record of the journal lacks {error}") from None
-        except ProblemError as error:
-            raise JournalError(f"the journal holds no problem: {error}") from None
-        except (AttributeError, TypeError, ValueError) as error:
-            raise JournalError(f"a record of the journal is not as it should be: {error}") from None
+            ],
+            dtype=float,
+        ).reshape(len(evaluations), len(problem.objectives))
+        initial = history.settings.get("initial_evaluations") or 2 * (len(problem.variables) + 1)
+        signs = [o.sign for o in problem.objectives]
+        problem = problem.with_references(objectives * signs, valid, feasible, initial)
+
+        def column(name: str) -> Array:
+            return np.array([getattr(e, name) for e in evaluations], dtype=float)
+
+        return cls(
+            run_id=history.run_id,
+            problem=problem,
+            settings=history.settings,
+            started=history.start.stamp,
+            finished=end.stamp if end else math.nan,
+            stop_reason=end.stop_reason if end else UNFINISHED,
+            error_msg=end.error_msg if end else "",
+            indices=np.array([e.index for e in evaluations], dtype=np.int64),
+            setpoints=[e.setpoint for e in evaluations],
+            objectives=objectives,
+            initial=np.array([e.source == "initial" for e in evaluations], dtype=bool),
+            valid=valid,
+            feasible=feasible,
+            hypervolumes=column("hypervolume"),
+            suggest_seconds=column("suggest_seconds"),
+            machine_seconds=column("machine_seconds"),
+            total_seconds=column("total_seconds"),
+        )
 
     @property
     def signs(self) -> Array:
-        """By which the objectives are multiplied to be minimised, shape ``(P,)``."""
+        """Factors by which the objectives are multiplied to be minimised, shape ``(P,)``."""
         return np.array([o.sign for o in self.problem.objectives])
 
     @property
@@ -131,32 +125,10 @@ class RecordedRun:
 
     @property
     def hypervolume(self) -> float:
-        """Of the front at the end; 0 before the first evaluation."""
+        """Hypervolume of the front at the end; 0 before the first evaluation."""
         return float(self.hypervolumes[-1]) if len(self.hypervolumes) else 0.0
 
     @property
     def overhead_seconds(self) -> Array:
-        """What an evaluation took beyond the suggestion and the machine, shape ``(n,)`` [s]."""
+        """Time of each evaluation beyond the suggestion and the machine, shape ``(n,)`` [s]."""
         return self.total_seconds - self.suggest_seconds - self.machine_seconds
-
-
-def _judge_anew(records: Sequence[Record], problem: Problem) -> tuple[BoolArray, BoolArray]:
-    """Which evaluations are valid, and which feasible, where the problem was changed amid them."""
-    dataset = Dataset(problem)
-    for told in History.from_records(records).evaluations:
-        dataset.add(told.setpoint, told.outputs)
-    return dataset.valid, dataset.feasible
-
-
-def _column(evaluations: Sequence[Record], key: str) -> Array:
-    return np.array([_number(e[key]) for e in evaluations], dtype=float)
-
-
-def _mean(measured: Any) -> float:
-    """The mean of a diagnostic's pair (mean, standard deviation)."""
-    return math.nan if measured is None else _number(measured[0])
-
-
-def _number(value: Any) -> float:
-    """A journal holds null for what is not finite."""
-    return math.nan if value is None else float(value)

@@ -14,10 +14,11 @@ from pathlib import Path
 
 from mobo_tuner.core import Optimizer
 from mobo_tuner.errors import UserError
-from mobo_tuner.runs.history import Changed, History, Told
-from mobo_tuner.runs.journal import Record, read_journal
+from mobo_tuner.runs.history import History, Step, told_of
+from mobo_tuner.runs.journal import JsonRecord, read_journal
 from mobo_tuner.runs.optimizer_settings import make_optimizer
 from mobo_tuner.runs.rebuild import records_of_bag
+from mobo_tuner.runs.records import EvaluationRecord
 from mobo_tuner.runs.saved_state import SavedState
 
 
@@ -36,17 +37,17 @@ def restore(history: History, saved: SavedState | None = None) -> Optimizer:
     if optimizer is None:
         optimizer = make_optimizer(history.problem, history.settings)
     for step in history.steps[position:]:
-        if isinstance(step, Told):
+        if isinstance(step, EvaluationRecord):
             optimizer.catch_up()
-        optimizer = take_step(optimizer, step)
+        optimizer = take_step(optimizer, step, history.model_input)
     return optimizer
 
 
-def take_step(optimizer: Optimizer, step: Told | Changed) -> Optimizer:
-    """The optimiser after one more step of a history."""
-    if isinstance(step, Told):
-        optimizer.tell(step.setpoint, step.outputs, step.readbacks)
-    elif step.problem != optimizer.problem:
+def take_step(optimizer: Optimizer, step: Step, model_input: str) -> Optimizer:
+    """Return the optimiser after one more step of a history."""
+    if isinstance(step, EvaluationRecord):
+        optimizer.tell(*told_of(step, optimizer.problem, model_input))
+    elif step.problem != optimizer.given_problem:
         return optimizer.with_problem(step.problem)
     return optimizer
 
@@ -81,14 +82,14 @@ def compare(history: History) -> list[Comparison]:
     optimizer = make_optimizer(history.problem, history.settings)
     comparisons = []
     for step in history.steps:
-        if isinstance(step, Told):
+        if isinstance(step, EvaluationRecord):
             asked = optimizer.ask()
             comparisons.append(Comparison(step.index, step.source, step.setpoint, asked))
-        optimizer = take_step(optimizer, step)
+        optimizer = take_step(optimizer, step, history.model_input)
     return comparisons
 
 
-def records_of(path: Path) -> list[Record]:
+def records_of(path: Path) -> list[JsonRecord]:
     """The records of a run folder or journal, or those that a bag tells.
 
     Raises:

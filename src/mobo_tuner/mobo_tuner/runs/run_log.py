@@ -1,65 +1,66 @@
-"""What is kept of a run while it goes on: the journal, the optimiser's state, and the outline."""
+"""What is kept of a run while it continues: the journal, the optimiser's state, and the outline."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from mobo_tuner.core import Optimizer
-from mobo_tuner.runs.journal import Journal, Record, journal_line
+from mobo_tuner.runs.journal import Journal, journal_line
+from mobo_tuner.runs.records import ChangeRecord, Record, StartRecord, to_json
 from mobo_tuner.runs.saved_state import SavedState
-
-_OUTLINED = ("start", "change")
 
 
 class RunLog:
-    """Keeps the records of one run that goes on.
+    """Keeps the records of one run.
 
     Args:
-        run_dir: the run's folder; where None, only the outline is kept.
-        header: what the start record holds beside its type.
-        earlier: records with which the run begins.
+        run_dir: Folder of the run; if None, only the outline is kept.
+        start: First record.
+        earlier: Records taken over from the run that this one resumes.
 
     Raises:
-        FileExistsError: the folder holds a journal already.
-        OSError: it cannot be written.
+        FileExistsError: If the folder holds a journal already.
+        OSError: If the journal cannot be written.
     """
 
     def __init__(
-        self, run_dir: Path | None, header: Mapping[str, Any], earlier: Sequence[Record] = ()
+        self, run_dir: Path | None, start: StartRecord, earlier: Sequence[Record] = ()
     ) -> None:
         self._run_dir = run_dir
-        self._run_id = str(header["run_id"])
+        self._run_id = start.run_id
         self._changes = 0
         self._lines: list[str] = []
-        self._journal = None if run_dir is None else Journal.create(run_dir, header, earlier)
-        for record in ({"type": "start", **header}, *earlier):
+        records = [start, *earlier]
+        self._journal = None
+        if run_dir is not None:
+            self._journal = Journal.create(run_dir, [to_json(record) for record in records])
+        for record in records:
             self._outline(record)
 
     @property
     def outline(self) -> str:
-        """The start record and the changes so far, one line of JSON each.
+        """Start record and changes so far, one line of JSON each.
 
-        With the evaluations this is all that the run can be rebuilt from.
+        With the evaluations, the run can be rebuilt from it.
         """
         return "".join(self._lines)
 
-    def append(self, record: Mapping[str, Any]) -> None:
+    def append(self, record: Record) -> None:
         """Keep one record; it is on disk when this returns.
 
         Raises:
-            OSError: it could not be written.
+            OSError: If it could not be written.
         """
         if self._journal is not None:
-            self._journal.append(record)
+            self._journal.append(to_json(record))
         self._outline(record)
 
     def save(self, optimizer: Optimizer) -> None:
-        """Keep the optimiser's state, so that going on later needs no replay.
+        """Keep the optimiser's state, so that a resumed run needs no replay.
 
-        Where that fails, as on a full disk, the journal suffices.
+        If that fails, as on a full disk, the journal suffices.
         """
         if self._run_dir is None:
             return
@@ -77,7 +78,7 @@ class RunLog:
         if self._journal is not None:
             self._journal.close()
 
-    def _outline(self, record: Mapping[str, Any]) -> None:
-        if record["type"] in _OUTLINED:
-            self._changes += record["type"] == "change"
-            self._lines.append(journal_line(record).decode())
+    def _outline(self, record: Record) -> None:
+        if isinstance(record, StartRecord | ChangeRecord):
+            self._changes += isinstance(record, ChangeRecord)
+            self._lines.append(journal_line(to_json(record)).decode())

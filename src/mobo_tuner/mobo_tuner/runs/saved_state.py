@@ -16,7 +16,8 @@ from typing import Any
 
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.files import replace_file
-from mobo_tuner.runs.history import Changed, History, Told
+from mobo_tuner.runs.history import History, told_of
+from mobo_tuner.runs.records import ChangeRecord, EvaluationRecord
 
 FILE_NAME = "optimizer.json"
 MAX_BYTES = 1 << 26
@@ -80,15 +81,15 @@ class SavedState:
         position = self._position(history)
         if position is None:
             return None
-        steps = history.steps[:position]
-        problems = [history.problem, *(s.problem for s in steps if isinstance(s, Changed))]
-        evaluations = [
-            {"setpoint": step.setpoint, "outputs": step.outputs, "readbacks": step.readbacks}
-            for step in steps
-            if isinstance(step, Told)
-        ]
+        problem = history.problem
+        evaluations = []
+        for step in history.steps[:position]:
+            if isinstance(step, ChangeRecord):
+                problem = step.problem
+            else:
+                evaluations.append(told_of(step, problem, history.model_input)._asdict())
         try:
-            if Problem.from_dict(self.state["problem"]) != problems[-1]:
+            if Problem.from_dict(self.state["problem"]) != problem:
                 return None
             return Optimizer.from_state({**self.state, "evaluations": evaluations}), position
         except Exception:  # whatever is wrong with it, the history says what is right
@@ -102,8 +103,8 @@ class SavedState:
         for position, step in enumerate((*history.steps, None)):
             if (evaluations, changes) == (self.evaluations, self.changes):
                 return position
-            evaluations += isinstance(step, Told)
-            changes += isinstance(step, Changed)
+            evaluations += isinstance(step, EvaluationRecord)
+            changes += isinstance(step, ChangeRecord)
         return None
 
 

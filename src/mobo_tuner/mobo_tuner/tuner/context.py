@@ -1,53 +1,66 @@
-"""What the parts of the tuner's node share."""
+"""What the services and runs of the tuner's node share."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from builtin_interfaces.msg import Time
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.task import Future
 
+from mobo_tuner.ros.conversions import seconds
 from mobo_tuner.ros.worker import Worker
-from mobo_tuner.tuner.heartbeat import Heartbeat
 from mobo_tuner.tuner.machine_client import MachineClient
-from mobo_tuner.tuner.status import Status
-from mobo_tuner.tuner.topics import TunerPublishers
+from mobo_tuner.tuner.parameters import TunerParameters
+from mobo_tuner.tuner.topics import Status, TunerTopics
 
 
 @dataclass(frozen=True)
-class TunerParts:
-    """The node, its parameters, and what everything else works with.
+class TunerContext:
+    """The node and what everything in it works with.
 
     Attributes:
-        parameters: as they are now; some may be set while the node runs.
-        worker: the thread in which the optimiser works, and nobody else.
-        stopping: done when this process is asked to end.
+        node: The tuner's node.
+        parameters: Its parameters as they are now; some change while the node runs.
+        worker: The one thread in which optimisers work.
+        machine: Client of the machine.
+        topics: Publishers.
+        stopping: Done when this process is asked to end.
     """
 
     node: Node
-    parameters: dict[str, Any]
+    parameters: TunerParameters
     worker: Worker
     machine: MachineClient
-    publishers: TunerPublishers
-    status: Status
-    heartbeat: Heartbeat
+    topics: TunerTopics
     stopping: Future
 
     @property
     def log(self) -> RcutilsLogger:
-        """The node's logger."""
+        """Logger of the node."""
         return self.node.get_logger()
 
+    @property
+    def status(self) -> Status:
+        """Status of the tuner."""
+        return self.topics.status
+
     def now(self) -> Time:
-        """The node's time."""
+        """Return the node's time."""
         return self.node.get_clock().now().to_msg()
 
+    def stamp(self) -> float:
+        """Return the node's time [s since the epoch]."""
+        return seconds(self.now())
 
-def sentence(error: Exception) -> str:
-    """What a client is told of an error: one sentence; an unforeseen one is named."""
+    def future(self) -> Future:
+        """Return a new future of the node's executor."""
+        return Future(executor=self.node.executor)
+
+
+def describe(error: Exception) -> str:
+    """Return an error as one sentence for a client; one that was not foreseen is named by its type."""
     if isinstance(error, ValueError | OSError):
         return str(error)
     return f"{type(error).__name__}: {error}"

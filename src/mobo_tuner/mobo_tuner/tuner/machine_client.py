@@ -1,4 +1,4 @@
-"""The machine as its client sees it: one thing at a time, never waited for without end."""
+"""The machine as its client sees it: one thing at a time, each with a timeout."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from builtin_interfaces.msg import Time
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
 from rclpy.node import Node
@@ -17,7 +16,7 @@ from rclpy.task import Future
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint
 from mobo_msgs_py.srv import DescribeMachine
-from mobo_tuner.ros.conversions import measurements_of, values_of
+from mobo_tuner.ros.conversions import measurements_of, seconds, values_of
 from mobo_tuner.ros.waiting import first_of, until
 
 CANCEL_TIMEOUT = 0.6  # [s] for the machine to confirm that it stopped
@@ -37,7 +36,7 @@ class Answer:
 
     error_code: int
     error_msg: str
-    stamp: Time
+    stamp: float  # when the measurement ended, on the machine's clock [s since the epoch]
     readbacks: dict[str, float] = field(default_factory=dict)
     diagnostics: dict[str, tuple[float, float]] = field(default_factory=dict)
     machine_seconds: float = 0.0
@@ -114,7 +113,7 @@ class MachineClient:
         return Answer(
             error_code=result.error_code,
             error_msg=result.error_msg,
-            stamp=result.stamp,
+            stamp=seconds(result.stamp),
             readbacks=values_of(result.readbacks),
             diagnostics=measurements_of(result.diagnostics),
             machine_seconds=result.machine_seconds,
@@ -147,7 +146,10 @@ class MachineClient:
         if result is None:
             return self._canceled()
         return Answer(
-            result.error_code, result.error_msg, result.stamp, values_of(result.readbacks)
+            result.error_code,
+            result.error_msg,
+            seconds(result.stamp),
+            values_of(result.readbacks),
         )
 
     async def where(self, *interrupts: Future) -> dict[str, float] | None:
@@ -275,8 +277,8 @@ class MachineClient:
     def _canceled(self) -> Answer:
         return Answer(_RESULT.CANCELED, "the machine was stopped", self._now())
 
-    def _now(self) -> Time:
-        return self._node.get_clock().now().to_msg()
+    def _now(self) -> float:
+        return seconds(self._node.get_clock().now().to_msg())
 
 
 class _Patience:

@@ -1,4 +1,4 @@
-"""The problem, its evaluations and its front as messages."""
+"""The problem, the evaluations and the front of a run as messages."""
 
 from __future__ import annotations
 
@@ -6,18 +6,21 @@ import math
 from collections.abc import Iterable, Mapping
 
 from builtin_interfaces.msg import Time
+from std_msgs.msg import Header
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.srv import DescribeMachine
-from mobo_tuner.core.dataset import Evaluation
-from mobo_tuner.core.problem import Constraint, Objective, Observable, Problem, Variable
+from mobo_tuner.core.problem import Problem
 from mobo_tuner.ros.conversions import named_values
+from mobo_tuner.runs.records import EvaluationRecord, MessageClasses, to_message
+
+_CLASSES = MessageClasses(msg.Evaluation, msg.NamedValue, Header, Time)
 
 
 def machine_facts(
     machine: DescribeMachine.Response,
 ) -> tuple[dict[str, tuple[float, float]], dict[str, str], dict[str, str]]:
-    """What a machine says of itself, as `Problem.check_machine` takes it."""
+    """Return what a machine says of itself, as `Problem.check_machine` takes it."""
     return (
         {v.name: (v.min, v.max) for v in machine.variables},
         {d.name: d.unit for d in machine.diagnostics},
@@ -25,20 +28,9 @@ def machine_facts(
     )
 
 
-def problem_units(problem: Problem) -> dict[str, str]:
-    """The unit of every quantity that the problem names."""
-    quantities: tuple[Constraint | Observable | Objective | Variable, ...] = (
-        *problem.constraints,
-        *problem.observables,
-        *problem.objectives,
-        *problem.variables,
-    )
-    return {quantity.name: quantity.unit for quantity in quantities if quantity.unit}
-
-
 def constraint_messages(problem: Problem, critical_only: bool = False) -> list[msg.Constraint]:
-    """The problem's constraints, or the critical ones among them."""
-    units = problem_units(problem)
+    """Return the constraints of a problem, or only the critical ones."""
+    units = problem.units
     return [
         msg.Constraint(
             name=c.name,
@@ -53,9 +45,9 @@ def constraint_messages(problem: Problem, critical_only: bool = False) -> list[m
 
 
 def problem_message(problem: Problem, run_id: str, stamp: Time) -> msg.Problem:
-    """The problem of a run, as it is published."""
+    """Return the problem of a run as its message."""
     return msg.Problem(
-        stamp=stamp,
+        header=Header(stamp=stamp),
         run_id=run_id,
         variables=[
             msg.Variable(name=v.name, unit=v.unit, min=v.minimum, max=v.maximum, cost=v.cost)
@@ -80,38 +72,23 @@ def problem_message(problem: Problem, run_id: str, stamp: Time) -> msg.Problem:
     )
 
 
-def evaluation_message(
-    problem: Problem, evaluation: Evaluation, run_id: str, stamp: Time
-) -> msg.Evaluation:
-    """An evaluation as the core knows it; what only the node knows stays at its default."""
-    units = problem_units(problem)
-    return msg.Evaluation(
-        stamp=stamp,
-        run_id=run_id,
-        index=evaluation.index,
-        setpoint=named_values(evaluation.setpoint, units),
-        diagnostics=named_values(evaluation.values, units, evaluation.stddevs),
-        objectives=[
-            msg.NamedValue(
-                name=o.name,
-                value=evaluation.values.get(o.name, math.nan),
-                stddev=evaluation.stddevs.get(o.name, math.nan),
-                unit=o.unit,
-            )
-            for o in problem.objectives
-        ],
-        valid=evaluation.valid,
-        feasible=evaluation.feasible,
-    )
+def evaluation_message(problem: Problem, record: EvaluationRecord, run_id: str) -> msg.Evaluation:
+    """Return an evaluation of a run as its message."""
+    return to_message(record, problem, run_id, _CLASSES)
+
+
+def run_records_message(records: str, run_id: str, stamp: Time) -> msg.RunRecords:
+    """Return how a run was set up and changed as its message."""
+    return msg.RunRecords(header=Header(stamp=stamp), run_id=run_id, records=records)
 
 
 def front_message(
     problem: Problem, front: Iterable[Mapping], hypervolume: float, run_id: str, stamp: Time
 ) -> msg.ParetoFront:
-    """The front as `Optimizer.pareto_front` or `predicted_front` gives it."""
-    units = problem_units(problem)
+    """Return a front, as `Optimizer.pareto_front` or `predicted_front` gives it, as its message."""
+    units = problem.units
     return msg.ParetoFront(
-        stamp=stamp,
+        header=Header(stamp=stamp),
         run_id=run_id,
         points=[
             msg.ParetoPoint(

@@ -7,7 +7,8 @@ preset says, so that the node's parameters always tell the method in use.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any
 
 from mobo_tuner.core.acquisition_optimizer import MAXIMIZERS
@@ -190,3 +191,47 @@ def with_method(values: Mapping[str, Any]) -> dict[str, Any]:
     }
     choices = {n: v for n, v in single.items() if n in CHOICES} | {"maximizer_settings": settings}
     return single | make_settings(single["preset"], choices).to_dict()
+
+
+@dataclass
+class TunerParameters:
+    """The tuner's parameters that its node reads; `values` has those of the optimiser, too.
+
+    The attributes are the parameters of the same names in `TUNER`; some change while the node runs.
+    """
+
+    values: dict[str, Any]
+    evaluations: int
+    model_input: str
+    shots: int
+    runs_dir: str
+    discovery_timeout: float
+    machine_timeout: float
+    suggestion_timeout: float
+    evaluation_timeout: float
+    max_consecutive_failures: int
+    on_failure: str
+    max_attempts: int
+    retry_delay: float
+    machine_return_timeout: float
+    on_abort: str
+    on_violation: str
+    on_client_lost: str
+    pause_on_violation: bool
+    client_timeout: float
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> TunerParameters:
+        """Take them from the values of all parameters in `TUNER`."""
+        names = [field.name for field in fields(cls) if field.name != "values"]
+        return cls(dict(values), **{name: values[name] for name in names})
+
+    def update(self, changes: Mapping[str, Any]) -> None:
+        """Change some parameters while the node runs."""
+        self.values.update(changes)
+        for name, value in changes.items():
+            setattr(self, name, value)
+
+    def run_dir(self, run_id: str) -> Path | None:
+        """Return the folder in which a run is kept; None if runs are not kept."""
+        return Path(self.runs_dir) / run_id if self.runs_dir else None

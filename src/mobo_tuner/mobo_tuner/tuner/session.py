@@ -1,57 +1,78 @@
-"""Who has the tuner now, and whose evaluations it knows."""
+"""Who uses the tuner now, and whose evaluations it knows."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
 
-from mobo_tuner.tuner.context import TunerParts
 from mobo_tuner.tuner.run.run import Run
-from mobo_tuner.tuner.run.start import Earlier, read_earlier
 
 
-@dataclass
 class Session:
-    """One run goes on, or one move to a working point, or nothing.
+    """At any time one run is active, or one move to a working point, or nothing."""
 
-    Attributes:
-        run: that goes on.
-        latest: the run that began last, whose evaluations are known; it may have ended.
-        reading: whether an earlier run is being read.
-        moving: whether the machine is on its way to a working point, or held there.
-    """
+    def __init__(self) -> None:
+        self._run: Run | None = None
+        self._latest: Run | None = None
+        self._reason = ""
 
-    run: Run | None = None
-    latest: Run | None = None
-    reading: bool = False
-    moving: bool = False
+    @property
+    def run(self) -> Run | None:
+        """Run that is active."""
+        return self._run
+
+    @property
+    def latest(self) -> Run | None:
+        """Run that began last, whose evaluations are known; it may have ended."""
+        return self._latest
 
     @property
     def occupied(self) -> str:
-        """Why nothing else may begin, in a sentence; empty where it may."""
-        if self.moving:
-            return "the machine is going to a working point; one thing at a time is allowed"
-        if self.run is not None:
-            return f"run '{self.run.run_id}' is going on; one run at a time is allowed"
-        if self.reading:
-            return "an earlier run is being read; one thing at a time is allowed"
+        """Reason why nothing else may begin, one sentence; empty if something may."""
+        if self._reason:
+            return self._reason
+        if self._run is not None:
+            return f"run '{self._run.run_id}' is active; one run at a time is allowed"
         return ""
 
-    def current(self) -> Run | None:
-        """The run that goes on."""
-        return self.run
+    def check_free(self) -> None:
+        """Check that something may begin.
 
+        Raises:
+            ValueError: If the tuner is occupied, with the reason.
+        """
+        if self.occupied:
+            raise ValueError(self.occupied)
 
-async def read_run(parts: TunerParts, session: Session, run_id: str) -> Earlier:
-    """Read an earlier run from its folder, while nothing else may begin.
+    def know(self, run: Run) -> None:
+        """Make a run the latest; it need not be active."""
+        self._latest = run
 
-    Raises:
-        ValueError, OSError: it cannot be read, with the reason.
-    """
-    session.reading = True
-    try:
-        earlier: Earlier = await parts.worker.submit(
-            read_earlier, parts.parameters["runs_dir"], run_id
-        )
-    finally:
-        session.reading = False
-    return earlier
+    @contextmanager
+    def running(self, run: Run) -> Iterator[None]:
+        """Let a run be active."""
+        self._run = run
+        try:
+            yield
+        finally:
+            self._run = None
+
+    @contextmanager
+    def moving(self) -> Iterator[None]:
+        """Let the machine move to a working point, or be held there."""
+        with self._busy("the machine is moving to a working point; one thing at a time is allowed"):
+            yield
+
+    @contextmanager
+    def reading(self) -> Iterator[None]:
+        """Let an earlier run be read."""
+        with self._busy("an earlier run is being read; one thing at a time is allowed"):
+            yield
+
+    @contextmanager
+    def _busy(self, reason: str) -> Iterator[None]:
+        before, self._reason = self._reason, reason
+        try:
+            yield
+        finally:
+            self._reason = before

@@ -1,28 +1,45 @@
-"""What the tuner publishes."""
+"""The tuner's topics, all relative to its namespace."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from rclpy.duration import Duration
 from rclpy.node import Node
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Header
 
 from mobo_msgs_py import msg
 from mobo_tuner.core.problem import Problem
 from mobo_tuner.ros.qos import KEPT, LATCHED, STREAM
+from mobo_tuner.ros.waiting import STEADY_CLOCK
+
+STATUS_PERIOD = 1.0  # [s]
+HEARTBEAT_PERIOD = 1.0  # [s] at most
+HEARTBEATS_PER_TIMEOUT = 3.0  # at least
 
 
-class TunerPublishers:
-    """The tuner's topics, all relative to its namespace.
+class TunerTopics:
+    """Publishers of what a run is, does and has found.
 
-    `problem`, `status` and `pareto_front` are latched. `evaluation` is kept for subscribers that
-    come late, for a recorder may take seconds to discover a tuner whose run has begun. Beside it
-    stands one flat topic `plot/<name>` per variable, diagnostic and figure, for plotting tools that
-    cannot look into arrays.
+    `problem`, `run_records`, `status` and `pareto_front` are latched. `evaluation` is kept for late
+    subscribers, because a recorder may take seconds to discover a tuner whose run has begun. One flat
+    topic `plot/<name>` per variable, diagnostic and figure serves plotting tools that cannot look into
+    arrays.
+
+    Args:
+        node: Node that publishes.
+        problem: Problem whose names get a `plot/<name>`.
+        client_timeout: Silence after which a machine takes this client for lost [s]; 0 = never.
+
+    Attributes:
+        status: The tuner's status.
+        heartbeat: The heartbeat of a run.
     """
 
-    def __init__(self, node: Node, problem: Problem) -> None:
+    def __init__(self, node: Node, problem: Problem, client_timeout: float) -> None:
         self._problem = node.create_publisher(msg.Problem, "problem", LATCHED)
-        self._status = node.create_publisher(msg.TunerStatus, "status", LATCHED)
+        self._records = node.create_publisher(msg.RunRecords, "run_records", LATCHED)
         self._front = node.create_publisher(msg.ParetoFront, "pareto_front", LATCHED)
         self._evaluation = node.create_publisher(msg.Evaluation, "evaluation", KEPT)
         names = dict.fromkeys(
@@ -37,26 +54,23 @@ class TunerPublishers:
         self._plots = {
             name: node.create_publisher(Float64, f"plot/{name}", STREAM) for name in names
         }
+        self.status = Status(node)
+        self.heartbeat = Heartbeat(node, client_timeout)
 
     def problem(self, message: msg.Problem) -> None:
-        """Publish the problem of a run that begins."""
+        """Publish the problem of a run."""
         self._problem.publish(message)
 
-    def status(self, message: msg.TunerStatus) -> None:
-        """Publish what the tuner is doing."""
-        self._status.publish(message)
+    def run_records(self, message: msg.RunRecords) -> None:
+        """Publish how a run was set up and changed."""
+        self._records.publish(message)
 
     def front(self, message: msg.ParetoFront) -> None:
         """Publish the Pareto front as it is now."""
         self._front.publish(message)
 
-    def acknowledged(self, timeout: Duration) -> bool:
-        """Whether every subscriber has all evaluations that were published, channels included."""
-        publishers = (self._evaluation, *self._plots.values())
-        return all(publisher.wait_for_all_acked(timeout) for publisher in publishers)
-
     def evaluation(self, message: msg.Evaluation) -> None:
-        """Publish an evaluation, whole and as flat channels."""
+        """Publish an evaluation, as a whole and as flat topics."""
         self._evaluation.publish(message)
         values = {item.name: item.value for item in (*message.diagnostics, *message.setpoint)}
         values["hypervolume"] = message.hypervolume
@@ -64,3 +78,88 @@ class TunerPublishers:
         for name, publisher in self._plots.items():
             if name in values:
                 publisher.publish(Float64(data=values[name]))
+
+    def acknowledged(self, timeout: Duration) -> bool:
+        """Return whether every subscriber has received all evaluations, flat topics included."""
+        publishers = (self._evaluation, *self._plots.values())
+        return all(publisher.wait_for_all_acked(timeout) for publisher in publishers)
+
+
+class Status:
+    """The topic `status`: published at every change that matters, and at 1 Hz.
+
+    Attributes:
+        message: Last message, but for its stamp.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._publisher = node.create_publisher(msg.TunerStatus, "status", LATCHED)
+        self.message = msg.TunerStatus()
+        # On a steady clock: who watches the tuner must not be misled by simulated time that stands.
+        self._timer = node.create_timer(STATUS_PERIOD, self._publish, clock=STEADY_CLOCK)
+        self._publish()
+
+    def set(self, *, publish: bool = True, **fields: object) -> None:
+        """Change some fields; with `publish=False` they wait for the next period."""
+        for name, value in fields.items():
+            setattr(self.message, name, value)
+        if publish:
+            self._publish()
+
+    def work(self, state: int, message: str | None = None) -> None:
+        """Publish what the tuner begins to do now.
+
+        Args:
+            state: One of `TunerStatus`'s constants.
+            message: Sentence for people; None leaves the last one.
+        """
+        text = self.message.message if message is None else message
+        self.set(state=state, phase="", fraction=0.0, message=text)
+
+    def progress(self, phase: str, fraction: float) -> None:
+        """Keep how far the machine is, for the next period."""
+        self.set(publish=False, phase=phase, fraction=fraction)
+
+    def _publish(self) -> None:
+        self.message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(self.message)
+
+
+class Heartbeat:
+    """The topic `heartbeat`, by which a machine knows that its client is alive.
+
+    It is published from the executor's thread while a run is active.
+
+    Args:
+        node: Node that publishes.
+        client_timeout: Silence after which a machine takes this client for lost [s]; 0 = never. A
+            short one makes the heartbeat faster.
+    """
+
+    def __init__(self, node: Node, client_timeout: float) -> None:
+        self._node = node
+        self._run_id = ""
+        self._publisher = node.create_publisher(msg.Heartbeat, "heartbeat", STREAM)
+        fastest = client_timeout / HEARTBEATS_PER_TIMEOUT or HEARTBEAT_PERIOD
+        period = min(HEARTBEAT_PERIOD, fastest)
+        self._timer = node.create_timer(period, self._beat, clock=STEADY_CLOCK)
+
+    @contextmanager
+    def of(self, run_id: str) -> Iterator[None]:
+        """Beat for a run; a last message without a run tells the machine that the end is intended."""
+        self._run_id = run_id
+        self._publish()
+        try:
+            yield
+        finally:
+            self._run_id = ""
+            self._publish()
+
+    def _beat(self) -> None:
+        if self._run_id:
+            self._publish()
+
+    def _publish(self) -> None:
+        header = Header(stamp=self._node.get_clock().now().to_msg())
+        self._publisher.publish(msg.Heartbeat(header=header, run_id=self._run_id))

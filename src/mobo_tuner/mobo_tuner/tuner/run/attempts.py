@@ -1,176 +1,230 @@
-"""One evaluation by the machine: tried again, given up or waited for, as the parameters say."""
+"""One evaluation by the machine: retried, given up or waited for, as the parameters say."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Literal, NamedTuple
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_tuner.core import ProblemError
 from mobo_tuner.ros.conversions import named_values
 from mobo_tuner.ros.waiting import first_of
-from mobo_tuner.tuner.context import TunerParts
+from mobo_tuner.tuner.context import TunerContext
 from mobo_tuner.tuner.machine_client import Answer, MachineLostError
-from mobo_tuner.tuner.messages import constraint_messages, problem_units
-from mobo_tuner.tuner.run.fallbacks import Ends
-from mobo_tuner.tuner.run.run import Outcome, Run, RunError, missing_diagnostics
+from mobo_tuner.tuner.messages import constraint_messages
+from mobo_tuner.tuner.parameters import TunerParameters
+from mobo_tuner.tuner.run.fallbacks import Fallbacks
+from mobo_tuner.tuner.run.run import Outcome, Run, RunError, measured_nothing
 
-_RESULT = EvaluateSetpoint.Result
-# What the machine did go for and could not measure: an evaluation that failed, to be learned from.
-_FAILED = (_RESULT.TIMEOUT, _RESULT.INVALID_MEASUREMENT, _RESULT.UNKNOWN)
-# The machine or the way to it was lost: nothing is known of the set-point.
-_LOST = (_RESULT.MACHINE_LOST, _RESULT.CLIENT_LOST)
-# The machine would not, which may pass.
-_REFUSED = (_RESULT.INTERLOCK, _RESULT.NOT_ACTIVE)
-# The machine is there and will be ready, after what went before; a bridge that has just started does
-# not know its interlocks yet.
-_SOON = (_RESULT.BUSY, *_REFUSED)
+_CODES = EvaluateSetpoint.Result
+# The machine went there but could not measure: a failed evaluation, from which the models learn.
+_FAILED = (_CODES.TIMEOUT, _CODES.INVALID_MEASUREMENT, _CODES.UNKNOWN)
+# The machine or the connection to it was lost: nothing is known of the set-point.
+_LOST = (_CODES.MACHINE_LOST, _CODES.CLIENT_LOST)
+# The machine refuses to move, which may pass.
+_REFUSED = (_CODES.INTERLOCK, _CODES.NOT_ACTIVE)
 SHORTEST_DELAY, LONGEST_DELAY = 0.1, 60.0  # [s] between two attempts
 
 
-class Attempts:
-    """Has set-points evaluated.
+class Decision(NamedTuple):
+    """What happens after an answer of the machine.
 
-    Args:
-        parts: of the tuner's node.
-        ends: where the machine goes when something happens.
+    Attributes:
+        action: "accept" the answer as the outcome, try "again" after `delay`, "wait" for a lost machine
+            to return, or "fail": the run ends.
+        delay: Time until the next attempt [s].
+        counts: Whether the attempt counts against `max_attempts`.
     """
 
-    def __init__(self, parts: TunerParts, ends: Ends) -> None:
-        self._parts = parts
-        self._ends = ends
+    action: Literal["accept", "again", "wait", "fail"]
+    delay: float = 0.0
+    counts: bool = True
+
+
+class Loss:
+    """How long a lost machine is waited for: from its loss until it works again.
+
+    Args:
+        patience: Time that it is waited for in all [s].
+        clock: Steady clock [s].
+    """
+
+    def __init__(self, patience: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self.patience = patience
+        self._clock = clock
+        self._deadline: float | None = None
+
+    def begin(self) -> bool:
+        """Note that the machine was lost; return whether that is new."""
+        new = self._deadline is None
+        if new:
+            self._deadline = self._clock() + self.patience
+        return new
+
+    def end(self) -> None:
+        """Note that the machine works again."""
+        self._deadline = None
+
+    @property
+    def active(self) -> bool:
+        """Whether the machine was lost and there is patience left."""
+        return self.remaining() > 0.0
+
+    def remaining(self) -> float:
+        """Return the patience that is left [s]; 0 if the machine is not lost."""
+        return 0.0 if self._deadline is None else max(0.0, self._deadline - self._clock())
+
+
+def decide(answer: Answer, tries: int, loss: Loss, parameters: TunerParameters) -> Decision:
+    """Decide what happens after an answer.
+
+    Args:
+        answer: Answer of the machine to the last attempt.
+        tries: Number of attempts that count, the last one included.
+        loss: Whether the machine was lost before.
+        parameters: Parameters of the tuner.
+    """
+    code = answer.error_code
+    if code in _LOST:
+        return Decision("wait", counts=False)
+    if loss.active and code in (_CODES.BUSY, *_REFUSED):
+        # It has just returned: it may not be ready, or be on its way back; a bridge that has just
+        # started does not know its interlocks yet.
+        return Decision("again", parameters.retry_delay, counts=False)
+    # A busy machine may still be stopping what was before, whatever the policy.
+    retried = parameters.on_failure == "retry" and code in (*_FAILED, *_REFUSED)
+    if tries < parameters.max_attempts and (retried or code == _CODES.BUSY):
+        return Decision("again", min(parameters.retry_delay * 2.0 ** (tries - 1), LONGEST_DELAY))
+    return Decision("accept" if code in (_CODES.NONE, _CODES.VIOLATION, *_FAILED) else "fail")
+
+
+class Attempts:
+    """Has set-points evaluated by the machine.
+
+    Args:
+        context: The tuner's node and what works in it.
+        fallbacks: Where the machine goes when the evaluation goes wrong.
+    """
+
+    def __init__(self, context: TunerContext, fallbacks: Fallbacks) -> None:
+        self._context = context
+        self._fallbacks = fallbacks
 
     async def evaluate(self, run: Run, setpoint: dict[str, float]) -> Outcome | None:
-        """Have the next evaluation of a run made; None when the run was interrupted.
+        """Have the next evaluation of a run made; None if the run was interrupted.
 
         An evaluation that was skipped has the error CANCELED.
 
         Raises:
-            RunError: the machine was lost, or it refuses what it must not.
+            RunError: If the machine was lost for too long, or refuses the evaluation.
         """
-        loss = _Loss(self._parts.parameters["machine_return_timeout"])
+        loss = Loss(self._context.parameters.machine_return_timeout)
         attempts = tries = 0
         while True:
             answer = await self._attempt(run, setpoint, attempts, loss)
             attempts += 1
-            if answer.error_code == _RESULT.NONE:
+            if answer.error_code == _CODES.NONE:
                 return Outcome(answer, attempts)
             if not _stopped(run):
-                if answer.error_code in _LOST:
-                    await self._await_return(run, answer.error_msg, loss)
-                elif answer.error_code in _SOON and loss.going_on:
-                    # The machine is there again, but not ready yet: it may be on its way back.
-                    await self._pause(run, self._parts.parameters["retry_delay"])
-                else:
-                    tries += 1
-                    if not self._shall_retry(answer, tries):
-                        self._check(run, answer)
-                        return Outcome(answer, attempts)
-                    await self._back_off(run, answer, tries)
+                decision = decide(answer, tries + 1, loss, self._context.parameters)
+                if decision.action == "accept":
+                    return Outcome(answer, attempts)
+                tries += decision.counts
+                await self._follow(run, decision, answer, loss)
             if run.interrupted:
                 return None
             if run.steering.skip.done():
                 return Outcome(self.skipped(), attempts)
 
     def skipped(self) -> Answer:
-        """What becomes of an evaluation that an operator skips."""
-        return Answer(_RESULT.CANCELED, "skipped by an operator", self._parts.now())
+        """Return the outcome of an evaluation that an operator skips."""
+        return Answer(_CODES.CANCELED, "skipped by an operator", self._context.stamp())
+
+    async def _follow(self, run: Run, decision: Decision, answer: Answer, loss: Loss) -> None:
+        """Do what was decided before the next attempt.
+
+        Raises:
+            RunError: If there is no next attempt.
+        """
+        if decision.action == "wait":
+            await self._await_return(run, answer.error_msg, loss)
+        elif decision.action == "fail":
+            what = "stopped: "
+            if answer.error_code != _CODES.CANCELED:
+                what = f"refused evaluation {run.index}: "
+            raise RunError(Tune.Result.MACHINE_ERROR, f"the machine {what}{answer.error_msg}")
+        else:
+            if decision.counts:
+                self._warn(run, answer, decision.delay)
+            await self._pause(run, decision.delay)
+
+    def _warn(self, run: Run, answer: Answer, delay: float) -> None:
+        text = f"evaluation {run.index} failed: {answer.error_msg}; next attempt in {delay:g} s"
+        self._context.log.warning(text)
+        self._context.status.set(message=text)
 
     async def _attempt(
-        self, run: Run, setpoint: dict[str, float], attempt: int, loss: _Loss
+        self, run: Run, setpoint: dict[str, float], attempt: int, loss: Loss
     ) -> Answer:
-        """One attempt; a machine that does not answer is an answer, too."""
-        parts, units = self._parts, problem_units(run.problem)
+        """Return the machine's answer to one attempt; a machine that does not answer is lost."""
+        context, units = self._context, run.problem.units
         goal = EvaluateSetpoint.Goal(
             run_id=run.run_id,
             index=run.index,
             attempt=attempt,
             setpoint=named_values(setpoint, units),
-            shots=parts.parameters["shots"],
+            shots=context.parameters.shots,
             critical=constraint_messages(run.problem, critical_only=True),
-            client_timeout=parts.parameters["client_timeout"],
-            if_client_lost=named_values(self._ends.target(run, "on_client_lost"), units),
-            if_violated=named_values(self._ends.target(run, "on_violation"), units),
+            client_timeout=context.parameters.client_timeout,
+            if_client_lost=named_values(self._fallbacks.target(run, "on_client_lost"), units),
+            if_violated=named_values(self._fallbacks.target(run, "on_violation"), units),
         )
 
         def on_feedback(feedback: EvaluateSetpoint.Feedback) -> None:
-            loss.end()  # it is at work
-            parts.status.set(publish=False, phase=feedback.phase, fraction=feedback.fraction)
+            loss.end()
+            context.status.progress(feedback.phase, feedback.fraction)
 
-        parts.status.set(state=msg.TunerStatus.EVALUATING, phase="", fraction=0.0)
+        context.status.work(msg.TunerStatus.EVALUATING)
         run.evaluating = True
         try:
-            answer = await parts.machine.evaluate(
+            answer = await context.machine.evaluate(
                 goal, on_feedback, run.interrupt, run.steering.skip
             )
         except MachineLostError as error:
-            return Answer(_RESULT.MACHINE_LOST, str(error), parts.now())
+            return Answer(_CODES.MACHINE_LOST, str(error), context.stamp())
         finally:
             run.evaluating = False
-        missing = missing_diagnostics(run.problem, answer)
-        if answer.error_code == _RESULT.NONE and missing:
+        if answer.error_code == _CODES.NONE and measured_nothing(run.problem, answer):
+            names = ", ".join(run.problem.required_diagnostics)
             return replace(
                 answer,
-                error_code=_RESULT.INVALID_MEASUREMENT,
-                error_msg=f"the machine did not measure {', '.join(missing)}",
+                error_code=_CODES.INVALID_MEASUREMENT,
+                error_msg=f"the machine measured none of {names}",
             )
         return answer
 
-    def _shall_retry(self, answer: Answer, tries: int) -> bool:
-        if tries >= self._parts.parameters["max_attempts"]:
-            return False
-        if answer.error_code == _RESULT.BUSY:  # it may still be stopping what was before
-            return True
-        retried = self._parts.parameters["on_failure"] == "retry"
-        return retried and answer.error_code in (*_FAILED, *_REFUSED)
-
-    async def _back_off(self, run: Run, answer: Answer, tries: int) -> None:
-        """Wait before the next attempt, longer each time."""
-        delay = min(self._parts.parameters["retry_delay"] * 2.0 ** (tries - 1), LONGEST_DELAY)
-        text = f"evaluation {run.index} failed: {answer.error_msg}; it is tried again"
-        self._parts.log.warning(f"{text} in {delay:g} s")
-        self._parts.status.set(message=text)
-        await self._pause(run, delay)
-
     async def _pause(self, run: Run, seconds: float) -> None:
-        await first_of(
-            self._parts.node,
-            run.interrupt,
-            run.steering.skip,
-            timeout=max(seconds, SHORTEST_DELAY),
-        )
+        timeout = max(seconds, SHORTEST_DELAY)
+        await first_of(self._context.node, run.interrupt, run.steering.skip, timeout=timeout)
 
-    def _check(self, run: Run, answer: Answer) -> None:
-        """Raise RunError where an answer is none that can be learned from."""
-        if answer.error_code == _RESULT.CANCELED:
-            raise RunError(Tune.Result.MACHINE_ERROR, f"the machine stopped: {answer.error_msg}")
-        if answer.error_code not in (_RESULT.NONE, _RESULT.VIOLATION, *_FAILED):
-            raise RunError(
-                Tune.Result.MACHINE_ERROR,
-                f"the machine refused evaluation {run.index}: {answer.error_msg}",
-            )
-
-    async def _await_return(self, run: Run, reason: str, loss: _Loss) -> None:
-        """Wait until the machine that was lost is there again, or the run is interrupted.
+    async def _await_return(self, run: Run, reason: str, loss: Loss) -> None:
+        """Wait until the lost machine is there again, or the run is interrupted.
 
         Raises:
-            RunError: it did not return in time.
+            RunError: If it did not return in time.
         """
-        parts, patience = self._parts, loss.patience
+        context, patience = self._context, loss.patience
         if patience <= 0.0:
             raise RunError(Tune.Result.MACHINE_LOST, reason)
         if loss.begin():
-            parts.log.warning(f"{reason}; the run waits up to {patience:g} s for its return")
-        parts.status.set(
-            state=msg.TunerStatus.WAITING,
-            phase="",
-            fraction=0.0,
-            message=f"{reason}; waiting for its return",
-        )
+            context.log.warning(f"{reason}; the run waits up to {patience:g} s for its return")
+        context.status.work(msg.TunerStatus.WAITING, f"{reason}; waiting for its return")
         try:
-            await self._pause(run, parts.parameters["retry_delay"])
-            machine = await parts.machine.describe(
+            await self._pause(run, context.parameters.retry_delay)
+            machine = await context.machine.describe(
                 loss.remaining(), run.interrupt, run.steering.skip
             )
             if machine is None:
@@ -182,40 +236,8 @@ class Attempts:
             ) from None
         except ProblemError as error:
             raise RunError(Tune.Result.MACHINE_LOST, f"{reason}; {error}") from None
-        parts.log.info(f"'{machine.name}' is there again")
-        parts.status.set(message="")
-
-
-class _Loss:
-    """How long a machine that was lost is waited for yet: from its loss until it is at work again.
-
-    Attributes:
-        patience: how long in all [s].
-    """
-
-    def __init__(self, patience: float) -> None:
-        self.patience = patience
-        self._deadline: float | None = None
-
-    def begin(self) -> bool:
-        """The machine was lost; whether that is new."""
-        new = self._deadline is None
-        if new:
-            self._deadline = time.monotonic() + self.patience
-        return new
-
-    def end(self) -> None:
-        """It is at work again."""
-        self._deadline = None
-
-    @property
-    def going_on(self) -> bool:
-        """Whether it was lost and there is patience left."""
-        return self._deadline is not None and time.monotonic() < self._deadline
-
-    def remaining(self) -> float:
-        """Seconds of patience from now."""
-        return 0.0 if self._deadline is None else max(0.0, self._deadline - time.monotonic())
+        context.log.info(f"'{machine.name}' is there again")
+        context.status.set(message="")
 
 
 def _stopped(run: Run) -> bool:

@@ -1,58 +1,109 @@
-"""What one run does: propose, have the machine evaluate, learn, tell the world; again and again."""
+"""What one run does, from its first step to its end: propose, evaluate, learn, report."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Literal, NamedTuple
 
+from rclpy.duration import Duration
 from rclpy.task import Future
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_tuner.core import ProblemError
-from mobo_tuner.ros.conversions import seconds
-from mobo_tuner.ros.waiting import first_of
-from mobo_tuner.tuner.context import TunerParts
+from mobo_tuner.ros.waiting import first_of, until
+from mobo_tuner.runs.records import EndRecord, EvaluationRecord
+from mobo_tuner.tuner.context import TunerContext, describe
 from mobo_tuner.tuner.machine_client import MachineLostError
+from mobo_tuner.tuner.messages import evaluation_message
+from mobo_tuner.tuner.parameters import TunerParameters
 from mobo_tuner.tuner.run.attempts import Attempts
-from mobo_tuner.tuner.run.fallbacks import Ends
-from mobo_tuner.tuner.run.republish import repeat
+from mobo_tuner.tuner.run.fallbacks import Fallbacks
 from mobo_tuner.tuner.run.run import Outcome, Run, RunError, Suggestion
 from mobo_tuner.tuner.run.steering import check_bounds
+from mobo_tuner.tuner.session import Session
 
-PAUSE_PERIOD = 3600.0  # [s] after which a paused run looks round, with nothing to see
+PAUSE_PERIOD = 3600.0  # [s] between two looks of a paused run at requests, which also wake it up
+CHUNK = 20  # evaluations of an earlier run that are published before the next wait
+ACKNOWLEDGE_TIMEOUT = 2.0  # [s] for the subscribers to receive a chunk
+_AT_ONCE = Duration(nanoseconds=1)
+_CODES = Tune.Result
 
-Teller = Callable[[msg.Evaluation], None]
+Listener = Callable[[EvaluationRecord, msg.Evaluation], None]
+
+
+class Ending(NamedTuple):
+    """How a run ended; the fields are those of `Tune.Result`."""
+
+    stop_reason: str
+    error_code: int = _CODES.NONE
+    error_msg: str = ""
 
 
 class RunLoop:
     """Carries out runs, one at a time.
 
     Args:
-        parts: of the tuner's node.
-        ends: where the machine goes when something happens.
+        context: The tuner's node and what works in it.
+        session: Session that a run occupies until its end.
     """
 
-    def __init__(self, parts: TunerParts, ends: Ends) -> None:
-        self._parts = parts
-        self._ends = ends
-        self._attempts = Attempts(parts, ends)
+    def __init__(self, context: TunerContext, session: Session) -> None:
+        self._context = context
+        self._session = session
+        self._fallbacks = Fallbacks(context)
+        self._attempts = Attempts(context, self._fallbacks)
 
-    async def carry_out(self, run: Run, tell: Teller) -> None:
-        """Go on with a run until it is done, interrupted or asked to end.
+    async def carry_out(self, run: Run, listener: Listener) -> Ending:
+        """Carry out a run; whatever happens, its journal is closed at the end.
 
         Args:
-            run: that has begun.
-            tell: is told of every evaluation, after the topics.
-
-        Raises:
-            RunError: it cannot go on.
+            run: Run that has been prepared.
+            listener: Called with every evaluation, after the topics have it.
         """
-        self._announce(run)
-        await repeat(run.earlier, self._parts)
-        await self._meet_machine(run)
+        context = self._context
+        try:
+            with self._session.running(run), context.topics.heartbeat.of(run.run_id):
+                ending = await self._tune(run, listener)
+                if ending.error_code not in (_CODES.NONE, _CODES.MACHINE_LOST):
+                    done = await self._fallbacks.act(run)
+                    if done:
+                        context.log.info(f"run '{run.run_id}': {done}")
+                        ending = ending._replace(error_msg=f"{ending.error_msg}; {done}")
+                end_run(context, run, ending)
+                context.status.set(
+                    publish=False, message=ending.error_msg, stop_reason=ending.stop_reason
+                )
+        finally:
+            context.status.work(msg.TunerStatus.IDLE)
+        context.log.info(
+            f"run '{run.run_id}': {run.index} evaluations, hypervolume "
+            f"{run.found.hypervolume:.6g}, stopped by {ending.stop_reason}"
+        )
+        return ending
+
+    async def _tune(self, run: Run, listener: Listener) -> Ending:
+        """Make evaluations until the run is done, interrupted or must end; return how it ended."""
+        try:
+            await self._begin(run)
+            await self._repeat(run, listener)
+        except Exception as error:
+            code = error.code if isinstance(error, RunError) else _CODES.INTERNAL
+            text = str(error) if isinstance(error, RunError) else describe(error)
+            self._context.log.error(f"run '{run.run_id}' ends: {text}")
+            return Ending("error", code, text)
+        if run.interrupted:
+            why = f"the run was stopped: {run.interrupt.result()}"
+            return Ending("canceled", _CODES.CANCELED, why)
+        if run.steering.stopping:
+            return Ending("stopped")
+        return Ending("budget" if run.index >= run.budget else "hypervolume_goal")
+
+    async def _repeat(self, run: Run, listener: Listener) -> None:
+        worker = self._context.worker
         run.step_started = time.perf_counter()
-        suggestion = self._parts.worker.submit(run.suggest)
+        suggestion = worker.submit(run.suggest)
         while not run.finished:
             suggested = await self._next(run, suggestion)
             if suggested is None:
@@ -61,62 +112,75 @@ class RunLoop:
             if outcome is None:
                 return
             problem = run.problem
-            message = await self._parts.worker.submit(run.learn, suggested, outcome)
+            record = await worker.submit(run.learn, suggested, outcome)
             if run.problem is not problem:  # its reference point was inferred
                 self._publish_all(run)
             run.steering.forget_skip()
-            if not run.finished:  # computed while the world is told of this evaluation
-                suggestion = self._parts.worker.submit(run.suggest)
-            self._report(run, message)
-            tell(message)
-            self._judge(run, message)
+            if not run.finished:  # computed while the evaluation is reported
+                suggestion = worker.submit(run.suggest)
+            # Saved after the suggestion, while the machine works: nobody waits for it.
+            worker.submit(run.save)
+            self._report(run, record, listener)
+            self._judge(run, record)
 
     # ------------------------------------------------------------------ the start
 
-    def _announce(self, run: Run) -> None:
-        self._parts.status.set(
-            state=msg.TunerStatus.WAITING, run_id=run.run_id, phase="", fraction=0.0, message=""
-        )
-        self._parts.status.set(publish=False, stop_reason="")
+    async def _begin(self, run: Run) -> None:
+        """Publish what there is of a run, and meet the machine.
+
+        Raises:
+            RunError: If no suitable machine answers.
+        """
+        context = self._context
+        context.status.set(publish=False, stop_reason="", run_id=run.run_id)
+        context.status.work(msg.TunerStatus.WAITING, "")
         self._publish_all(run)
-
-    def _publish_all(self, run: Run) -> None:
-        """What is tuned and what there is of it, when a run begins or its problem changes."""
-        parts = self._parts
-        parts.publishers.problem(run.problem_message(parts.now()))
-        parts.publishers.front(run.front(parts.now()))
-        self._publish_figures(run)
-
-    def _publish_figures(self, run: Run) -> None:
-        self._parts.status.set(
-            budget=run.budget,
-            evaluations=run.index,
-            failed=run.failed,
-            feasible=run.feasible,
-            hypervolume=run.optimizer.hypervolume,
-        )
-
-    async def _meet_machine(self, run: Run) -> None:
-        parts = self._parts
+        await self._publish_earlier(run)
         try:
-            machine = await parts.machine.describe(
-                parts.parameters["discovery_timeout"], run.interrupt
+            machine = await context.machine.describe(
+                context.parameters.discovery_timeout, run.interrupt
             )
             if machine is None:
                 return
             run.meet(machine)
         except (MachineLostError, ProblemError) as error:
-            raise RunError(Tune.Result.MACHINE_UNAVAILABLE, str(error)) from None
-        await self._ends.prepare(run)
-        parts.log.info(f"run '{run.run_id}' tunes '{machine.name}'")
+            raise RunError(_CODES.MACHINE_UNAVAILABLE, str(error)) from None
+        await self._fallbacks.prepare(run)
+        context.log.info(f"run '{run.run_id}' tunes '{machine.name}'")
+
+    async def _publish_earlier(self, run: Run) -> None:
+        """Publish the evaluations with which a run begins, no faster than they are received."""
+        topics = self._context.topics
+        for start in range(0, len(run.records), CHUNK):
+            for problem, record in run.records[start : start + CHUNK]:
+                topics.evaluation(evaluation_message(problem, record, run.run_id))
+            await until(
+                self._context.node,
+                lambda: topics.acknowledged(_AT_ONCE),
+                timeout=ACKNOWLEDGE_TIMEOUT,
+            )
+
+    def _publish_all(self, run: Run) -> None:
+        """Publish problem, records, front and figures when a run begins or its problem changes."""
+        publish_run(self._context, run)
+        self._publish_figures(run)
+
+    def _publish_figures(self, run: Run) -> None:
+        self._context.status.set(
+            budget=run.budget,
+            evaluations=run.found.evaluations,
+            failed=run.found.failed,
+            feasible=run.found.feasible,
+            hypervolume=run.found.hypervolume,
+        )
 
     # ------------------------------------------------------------------ between two evaluations
 
     async def _next(self, run: Run, suggestion: Future) -> Suggestion | None:
-        """What to evaluate next, once the run may; None when it shall not go on.
+        """Return what to evaluate next, once the run may; None if it must not continue.
 
-        One suggestion is made for every evaluation, whatever becomes of it, so that a run depends
-        on what was asked of it and not on the moment.
+        One suggestion is made for every evaluation, whether it is used or not, so that a run depends
+        on what was asked of it and not on when.
         """
         steering = run.steering
         while True:
@@ -128,7 +192,7 @@ class RunLoop:
                 await self._apply_change(run)
                 if run.finished:
                     return None
-                suggestion = self._parts.worker.submit(run.suggest)
+                suggestion = self._context.worker.submit(run.suggest)
             suggested = await self._suggested(run, suggestion)
             if run.interrupted or suggested is None:
                 return None
@@ -136,85 +200,118 @@ class RunLoop:
                 continue
             if not steering.waits:
                 break
-            self._parts.status.set(
+            self._context.status.set(
                 state=msg.TunerStatus.PAUSED, message=f"paused before evaluation {run.index}"
             )
-            await first_of(self._parts.node, run.interrupt, steering.news, timeout=PAUSE_PERIOD)
-        self._parts.status.set(message="")
+            await first_of(self._context.node, run.interrupt, steering.news, timeout=PAUSE_PERIOD)
+        self._context.status.set(message="")
         steering.take_step()
-        while steering.queue:
-            setpoint = steering.queue.popleft()
+        return self._queued(run, suggested) or suggested
+
+    def _queued(self, run: Run, suggested: Suggestion) -> Suggestion | None:
+        """Return the next queued set-point that the bounds, which may have changed, allow."""
+        while run.steering.queue:
+            setpoint = run.steering.queue.popleft()
             try:
-                check_bounds(run.problem, setpoint)  # which may have changed since
+                check_bounds(run.problem, setpoint)
             except ProblemError as error:
-                self._parts.log.warning(f"a queued set-point is dropped: {error}")
+                self._context.log.warning(f"a queued set-point is dropped: {error}")
                 continue
             return Suggestion(setpoint, "operator", suggested.seconds)
-        return suggested
+        return None
 
     async def _suggested(self, run: Run, suggestion: Future) -> Suggestion | None:
-        """The suggestion, once it is computed; None when interrupted."""
-        parts = self._parts
+        """Return the suggestion once it is computed; None if the run was interrupted.
+
+        Raises:
+            RunError: If it takes too long.
+        """
+        context = self._context
         if not suggestion.done():
-            parts.status.set(state=msg.TunerStatus.SUGGESTING, phase="", fraction=0.0)
-        patience = parts.parameters["suggestion_timeout"]
-        done = await first_of(parts.node, suggestion, run.interrupt, timeout=patience)
+            context.status.work(msg.TunerStatus.SUGGESTING)
+        patience = context.parameters.suggestion_timeout
+        done = await first_of(context.node, suggestion, run.interrupt, timeout=patience)
         if run.interrupted:
             return None
         if done is None:
-            raise RunError(Tune.Result.INTERNAL, f"no suggestion came within {patience:g} s")
+            raise RunError(_CODES.INTERNAL, f"no suggestion came within {patience:g} s")
         suggested: Suggestion = suggestion.result()
         return suggested
 
     async def _apply_change(self, run: Run) -> None:
         change, run.steering.change = run.steering.change, None
         assert change is not None
-        await self._parts.worker.submit(run.apply, change, seconds(self._parts.now()))
-        self._parts.log.info(f"run '{run.run_id}' is changed before evaluation {run.index}")
+        await self._context.worker.submit(run.apply, change, self._context.stamp())
+        self._context.log.info(f"run '{run.run_id}' is changed before evaluation {run.index}")
         self._publish_all(run)
 
     # ------------------------------------------------------------------ an evaluation
 
     async def _evaluate(self, run: Run, suggested: Suggestion) -> Outcome | None:
-        """What became of an evaluation; None when it was interrupted, which leaves no trace."""
+        """Return the outcome of an evaluation; None if it was interrupted, which leaves no trace."""
         if run.steering.skip.done():
             return Outcome(self._attempts.skipped(), 0)
         return await self._attempts.evaluate(run, suggested.setpoint)
 
-    def _report(self, run: Run, message: msg.Evaluation) -> None:
-        """Tell the world of an evaluation."""
-        parts = self._parts
-        parts.publishers.evaluation(message)
-        if message.non_dominated:
-            parts.publishers.front(run.front(parts.now()))
-        parts.status.set(publish=False, message="")
+    def _report(self, run: Run, record: EvaluationRecord, listener: Listener) -> None:
+        message = run.evaluation_message(record)
+        self._context.topics.evaluation(message)
+        if record.non_dominated:
+            self._context.topics.front(run.front_message(self._context.now()))
+        self._context.status.set(publish=False, message="")
         self._publish_figures(run)
+        listener(record, message)
 
-    def _judge(self, run: Run, message: msg.Evaluation) -> None:
-        """After a failed evaluation, pause or end the run where the parameters say so.
+    def _judge(self, run: Run, record: EvaluationRecord) -> None:
+        """Pause or end the run after a failed evaluation, if the parameters say so.
 
         Raises:
-            RunError: it ends.
+            RunError: If it must end.
         """
-        if message.valid:
-            return
-        reason = message.error_msg
-        self._parts.log.warning(f"evaluation {message.index} failed: {reason}")
-        parameters = self._parts.parameters
-        if message.error_code == EvaluateSetpoint.Result.CANCELED:
-            return
-        if parameters["on_failure"] == "abort":
-            raise RunError(
-                Tune.Result.MACHINE_ERROR, f"evaluation {message.index} failed: {reason}"
-            )
-        limit = parameters["max_consecutive_failures"]
-        if run.consecutive_failures >= limit:
-            raise RunError(
-                Tune.Result.MACHINE_ERROR, f"{limit} evaluations failed in a row: {reason}"
-            )
-        if (
-            message.error_code == EvaluateSetpoint.Result.VIOLATION
-            and parameters["pause_on_violation"]
-        ):
-            run.steering.paused = True
-            run.steering.steps = 0
+        if record.failed:
+            text = f"evaluation {record.index} failed: {record.error_msg}"
+            self._context.log.warning(text)
+        verdict = judge(record, run.consecutive_failures, self._context.parameters)
+        if verdict.action == "pause":
+            run.steering.pause()
+        elif verdict.action == "end":
+            raise RunError(_CODES.MACHINE_ERROR, verdict.reason)
+
+
+class Verdict(NamedTuple):
+    """Whether a run continues after an evaluation, pauses or ends, and for what reason it ends."""
+
+    action: Literal["continue", "pause", "end"]
+    reason: str = ""
+
+
+def judge(
+    record: EvaluationRecord, consecutive_failures: int, parameters: TunerParameters
+) -> Verdict:
+    """Judge whether a run continues after an evaluation."""
+    if not record.failed or record.error_code == EvaluateSetpoint.Result.CANCELED:
+        return Verdict("continue")
+    if parameters.on_failure == "abort":
+        return Verdict("end", f"evaluation {record.index} failed: {record.error_msg}")
+    limit = parameters.max_consecutive_failures
+    if consecutive_failures >= limit:
+        return Verdict("end", f"{limit} evaluations failed in a row: {record.error_msg}")
+    violated = record.error_code == EvaluateSetpoint.Result.VIOLATION
+    return Verdict("pause" if violated and parameters.pause_on_violation else "continue")
+
+
+def publish_run(context: TunerContext, run: Run) -> None:
+    """Publish the problem of a run, how it was set up, and its front."""
+    now = context.now()
+    context.topics.run_records(run.records_message(now))
+    context.topics.problem(run.problem_message(now))
+    context.topics.front(run.front_message(now))
+
+
+def end_run(context: TunerContext, run: Run, ending: Ending) -> None:
+    """Write the end of a run into its journal and close it."""
+    try:
+        run.log.append(EndRecord(context.stamp(), *ending))
+    except OSError as error:
+        context.log.error(f"the end of the run is not in its journal: {error}")
+    run.log.close()

@@ -1,12 +1,12 @@
-"""One run: what it knows, and its two steps that take time, made for a worker thread."""
+"""One run: what it knows and has found, and its steps that take time, made for a worker thread."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 from builtin_interfaces.msg import Time
 from rclpy.task import Future
@@ -15,9 +15,8 @@ from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint
 from mobo_msgs_py.srv import DescribeMachine
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.ros.conversions import named_values
-from mobo_tuner.runs.history import SETPOINT, told_outputs, told_readbacks
-from mobo_tuner.runs.records import evaluation_record
+from mobo_tuner.runs.history import SETPOINT, told, told_of
+from mobo_tuner.runs.records import ChangeRecord, EvaluationRecord, Source
 from mobo_tuner.runs.run_log import RunLog
 from mobo_tuner.tuner.machine_client import Answer
 from mobo_tuner.tuner.messages import (
@@ -25,20 +24,13 @@ from mobo_tuner.tuner.messages import (
     front_message,
     machine_facts,
     problem_message,
-    problem_units,
+    run_records_message,
 )
 from mobo_tuner.tuner.run.steering import Change, Steering
 
-Source = Literal["initial", "model", "operator"]
-SOURCES: dict[Source, int] = {
-    "initial": msg.Evaluation.INITIAL,
-    "model": msg.Evaluation.MODEL,
-    "operator": msg.Evaluation.OPERATOR,
-}
-
 
 class RunError(Exception):
-    """A run cannot go on; `code` is one of Tune.Result's constants."""
+    """A run cannot continue; `code` is one of Tune.Result's constants."""
 
     def __init__(self, code: int, message: str) -> None:
         super().__init__(message)
@@ -60,39 +52,76 @@ class Outcome(NamedTuple):
     attempts: int
 
 
+@dataclass(frozen=True)
+class Findings:
+    """What a run has found so far; never changed, so that any thread may read it.
+
+    Attributes:
+        problem: Problem that is tuned, with the reference point that was inferred, if any.
+        given_problem: Problem as it was given.
+        evaluations: Number of finished evaluations.
+        failed: Number of those that are not valid.
+        feasible: Number of those that are feasible.
+        hypervolume: Hypervolume of the front.
+        front: Pareto front, as `Optimizer.pareto_front` gives it.
+    """
+
+    problem: Problem
+    given_problem: Problem
+    evaluations: int
+    failed: int
+    feasible: int
+    hypervolume: float
+    front: Sequence[Mapping[str, Any]]
+
+    @classmethod
+    def of(cls, optimizer: Optimizer) -> Findings:
+        """Return what an optimiser has found."""
+        made = optimizer.dataset.evaluations
+        return cls(
+            problem=optimizer.problem,
+            given_problem=optimizer.given_problem,
+            evaluations=len(made),
+            failed=sum(not e.valid for e in made),
+            feasible=sum(e.feasible for e in made),
+            hypervolume=optimizer.hypervolume,
+            front=tuple(optimizer.pareto_front()),
+        )
+
+
 @dataclass
 class Run:
     """What belongs to one run.
 
     Attributes:
-        run_id: its name.
-        budget: evaluations after which it is done.
-        hypervolume_goal: at which it is done, too; 0 = none.
-        optimizer: used in the worker thread, and read elsewhere while that is idle.
-        goal_id: of the Tune goal.
-        interrupt: done when the run shall stop; its result says why.
-        journal: where it is kept.
-        model_input: what the models learn from, SETPOINT or READBACK.
-        earlier: evaluations of an earlier run, with which this one begins.
-        steering: what operators asked for.
-        machine: what it says of itself; None before it was met.
-        state_before: where the machine was before the run; None where nobody asked.
-        by_client: whether a client asks and tells by itself.
-        changeable: whether its problem and budget may be changed.
-        evaluating: whether the machine is at it.
-        consecutive_failures: at the end of the finished evaluations.
-        step_started: when the evaluation before ended, by `time.perf_counter` [s].
+        run_id: Name of the run.
+        budget: Evaluations after which it is done.
+        optimizer: Optimiser; from the start of the run only the worker thread touches it. What it has
+            found is read from `found`.
+        interrupt: Done when the run must stop; its result is the reason.
+        log: Where the run is kept.
+        hypervolume_goal: Hypervolume at which it is done, too; 0 = none.
+        model_input: What the models learn from, SETPOINT or READBACK.
+        records: Evaluations so far, those of a resumed run included, each with the problem at that time.
+        steering: Pending requests of operators.
+        machine: Description of the machine; None before the first contact.
+        state_before: Where the machine was before the run; None if no fallback needs it.
+        by_client: Whether a client asks and tells by itself.
+        changeable: Whether its problem and budget may be changed.
+        evaluating: Whether the machine is working on an evaluation.
+        consecutive_failures: Number of failed evaluations at the end of the finished ones.
+        step_started: When the evaluation before ended, by `time.perf_counter` [s].
+        found: What the run has found so far.
     """
 
     run_id: str
     budget: int
-    hypervolume_goal: float
     optimizer: Optimizer
-    goal_id: bytes
     interrupt: Future
-    journal: RunLog
+    log: RunLog
+    hypervolume_goal: float = 0.0
     model_input: str = SETPOINT
-    earlier: Sequence[msg.Evaluation] = ()
+    records: list[tuple[Problem, EvaluationRecord]] = field(default_factory=list)
     steering: Steering = field(default_factory=Steering)
     machine: DescribeMachine.Response | None = None
     state_before: dict[str, float] | None = None
@@ -101,41 +130,31 @@ class Run:
     evaluating: bool = False
     consecutive_failures: int = 0
     step_started: float = field(default_factory=time.perf_counter)
+    found: Findings = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.found = Findings.of(self.optimizer)
 
     @property
     def problem(self) -> Problem:
-        """What is tuned."""
-        return self.optimizer.problem
+        """Problem that is tuned."""
+        return self.found.problem
 
     @property
     def index(self) -> int:
-        """Of the next evaluation, which is the number of finished ones."""
-        return len(self.optimizer.dataset)
-
-    @property
-    def failed(self) -> int:
-        """Number of finished evaluations that are not valid."""
-        return sum(not e.valid for e in self.optimizer.dataset.evaluations)
-
-    @property
-    def feasible(self) -> int:
-        """Number of finished evaluations that are feasible."""
-        return sum(e.feasible for e in self.optimizer.dataset.evaluations)
+        """Index of the next evaluation, which is the number of finished ones."""
+        return self.found.evaluations
 
     @property
     def interrupted(self) -> bool:
-        """Whether someone asked the run to stop."""
+        """Whether the run was asked to stop."""
         return self.interrupt.done()
 
     @property
-    def goal_met(self) -> bool:
-        """Whether the hypervolume that was asked for is reached."""
-        return 0.0 < self.hypervolume_goal <= self.optimizer.hypervolume
-
-    @property
     def finished(self) -> bool:
-        """Whether it is done."""
-        return self.goal_met or self.index >= self.budget
+        """Whether the budget is spent or the hypervolume goal is reached."""
+        goal_met = 0.0 < self.hypervolume_goal <= self.found.hypervolume
+        return goal_met or self.index >= self.budget
 
     def stop(self, reason: str) -> None:
         """Ask the run to stop; the first reason counts."""
@@ -143,26 +162,34 @@ class Run:
             self.interrupt.set_result(reason)
 
     def meet(self, machine: DescribeMachine.Response) -> None:
-        """Check that a machine suits the problem, and remember what it says of itself.
+        """Check that a machine suits the problem, and remember its description.
 
         Raises:
-            ProblemError: it does not suit.
+            ProblemError: If it does not suit.
         """
         self.problem.check_machine(*machine_facts(machine))
         self.machine = machine
 
-    def front(self, stamp: Time) -> msg.ParetoFront:
-        """The Pareto front as it is now."""
-        optimizer = self.optimizer
-        return front_message(
-            self.problem, optimizer.pareto_front(), optimizer.hypervolume, self.run_id, stamp
-        )
+    # ------------------------------------------------------------------ messages
+
+    def front_message(self, stamp: Time) -> msg.ParetoFront:
+        """Return the Pareto front as it is now."""
+        found = self.found
+        return front_message(found.problem, found.front, found.hypervolume, self.run_id, stamp)
 
     def problem_message(self, stamp: Time) -> msg.Problem:
-        """What is tuned, and all that the run can be rebuilt from beside its evaluations."""
-        message = problem_message(self.problem, self.run_id, stamp)
-        message.records = self.journal.outline
-        return message
+        """Return the problem as it is now."""
+        return problem_message(self.problem, self.run_id, stamp)
+
+    def records_message(self, stamp: Time) -> msg.RunRecords:
+        """Return how the run was set up and changed so far."""
+        return run_records_message(self.log.outline, self.run_id, stamp)
+
+    def evaluation_message(self, record: EvaluationRecord) -> msg.Evaluation:
+        """Return an evaluation of the problem as it is now."""
+        return evaluation_message(self.problem, record, self.run_id)
+
+    # ------------------------------------------------------------------ in the worker thread
 
     def suggest(self) -> Suggestion:
         """Ask the optimiser where to measure next."""
@@ -170,57 +197,79 @@ class Run:
         setpoint = self.optimizer.ask()
         return Suggestion(setpoint, self.optimizer.last_source, time.perf_counter() - started)
 
-    def learn(self, suggested: Suggestion, outcome: Outcome) -> msg.Evaluation:
-        """Tell the optimiser and the journal what a suggestion led to, a failed evaluation too."""
-        answer = outcome.answer
-        outputs = told_outputs(self.problem, answer.diagnostics, answer.error_code)
-        readbacks = told_readbacks(self.problem, answer.readbacks, self.model_input)
-        evaluation = self.optimizer.tell(suggested.setpoint, outputs, readbacks)
-        message = evaluation_message(self.problem, evaluation, self.run_id, answer.stamp)
-        message.source = SOURCES[suggested.source]
-        message.attempts = outcome.attempts
-        message.readbacks = named_values(answer.readbacks, problem_units(self.problem))
-        front = self.optimizer.pareto_front()
-        message.non_dominated = any(point["index"] == evaluation.index for point in front)
-        message.hypervolume = self.optimizer.hypervolume
-        message.error_code = answer.error_code
-        message.error_msg = answer.error_msg
-        message.suggest_seconds = suggested.seconds
-        message.machine_seconds = answer.machine_seconds
-        now = time.perf_counter()
-        message.total_seconds, self.step_started = now - self.step_started, now
-        self.journal.append(evaluation_record(message))
-        self.journal.save(self.optimizer)
-        if answer.error_code != EvaluateSetpoint.Result.CANCELED:  # an operator's wish is no fault
-            self.consecutive_failures = 0 if message.valid else self.consecutive_failures + 1
-        return message
-
-    def apply(self, change: Change, stamp: float) -> None:
-        """Go on with another problem or budget, which the journal keeps.
+    def learn(self, suggestion: Suggestion, outcome: Outcome) -> EvaluationRecord:
+        """Tell the optimiser and the journal what a suggestion led to, a failed evaluation too.
 
         Raises:
-            ProblemError: the optimiser cannot; nothing is changed.
-            OSError: the journal cannot be written.
+            OSError: If the journal cannot be written.
         """
-        if change.problem != self.optimizer.given_problem:
+        answer = outcome.answer
+        evaluation = self.optimizer.tell(
+            *told(
+                self.problem,
+                suggestion.setpoint,
+                answer.diagnostics,
+                answer.readbacks,
+                answer.error_code,
+                self.model_input,
+            )
+        )
+        self.found = found = Findings.of(self.optimizer)
+        now = time.perf_counter()
+        record = EvaluationRecord(
+            index=evaluation.index,
+            source=suggestion.source,
+            attempts=outcome.attempts,
+            stamp=answer.stamp,
+            setpoint=evaluation.setpoint,
+            readbacks=answer.readbacks,
+            diagnostics={n: (v, evaluation.stddevs[n]) for n, v in evaluation.values.items()},
+            valid=evaluation.valid,
+            feasible=evaluation.feasible,
+            non_dominated=any(point["index"] == evaluation.index for point in found.front),
+            hypervolume=found.hypervolume,
+            error_code=answer.error_code,
+            error_msg=answer.error_msg,
+            suggest_seconds=suggestion.seconds,
+            machine_seconds=answer.machine_seconds,
+            total_seconds=now - self.step_started,
+        )
+        self.step_started = now
+        self.log.append(record)
+        self.records.append((self.problem, record))
+        if answer.error_code != EvaluateSetpoint.Result.CANCELED:  # skipping is not a failure
+            self.consecutive_failures = self.consecutive_failures + 1 if record.failed else 0
+        return record
+
+    def learn_from(self, records: Iterable[EvaluationRecord]) -> None:
+        """Tell the optimiser evaluations of another run; the journal does not keep them."""
+        for record in records:
+            told = self.optimizer.tell(*told_of(record, self.problem, self.model_input))
+            self.records.append((self.problem, replace(record, index=told.index)))
+        self.found = Findings.of(self.optimizer)
+
+    def apply(self, change: Change, stamp: float) -> None:
+        """Continue with another problem or budget, which the journal keeps.
+
+        Raises:
+            ProblemError: If the optimiser cannot; nothing is changed.
+            OSError: If the journal cannot be written.
+        """
+        if change.problem != self.found.given_problem:
             self.optimizer = self.optimizer.with_problem(change.problem)
         self.budget = change.budget
-        self.journal.append(
-            {
-                "type": "change",
-                "stamp": stamp,
-                "index": self.index,
-                "problem": change.problem.to_dict(),
-                "budget": change.budget,
-            }
-        )
-        self.journal.save(self.optimizer)
+        self.found = Findings.of(self.optimizer)
+        self.log.append(ChangeRecord(stamp, self.index, change.problem, change.budget))
+
+    def save(self) -> None:
+        """Keep the optimiser's state beside the journal."""
+        self.log.save(self.optimizer)
 
 
-def missing_diagnostics(problem: Problem, answer: Answer) -> list[str]:
-    """The needed diagnostics that an answer lacks."""
-    return [
-        name
+def measured_nothing(problem: Problem, answer: Answer) -> bool:
+    """Return whether an answer has no objective and no constrained diagnostic."""
+    unknown = (math.nan, math.nan)
+    return not any(
+        math.isfinite(answer.diagnostics.get(name, unknown)[0])
         for name in problem.required_diagnostics
-        if not math.isfinite(answer.diagnostics.get(name, (math.nan, math.nan))[0])
-    ]
+    )

@@ -1,47 +1,68 @@
-"""How a run begins: its goal checked, its optimiser made or restored, its journal opened."""
+"""How a run begins: its request checked, its optimiser made or restored, its journal opened."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from rclpy.task import Future
 
-from mobo_msgs_py.action import Tune
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.runs.history import History
-from mobo_tuner.runs.journal import Record, read_journal
+from mobo_tuner.runs.journal import read_journal
 from mobo_tuner.runs.optimizer_settings import kept_settings, make_optimizer
+from mobo_tuner.runs.records import ChangeRecord, EvaluationRecord, Record, StartRecord
 from mobo_tuner.runs.replay import restore
 from mobo_tuner.runs.run_id import check_run_id, new_run_id
 from mobo_tuner.runs.run_log import RunLog
 from mobo_tuner.runs.saved_state import SavedState
-from mobo_tuner.tuner.run.republish import earlier_evaluations
+from mobo_tuner.tuner.context import TunerContext
+from mobo_tuner.tuner.parameters import TunerParameters
 from mobo_tuner.tuner.run.run import Run
+from mobo_tuner.tuner.session import Session
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """What a client asks for.
+
+    Attributes:
+        run_id: Name of the run; empty = a new one is made up.
+        evaluations: Budget, those of an earlier run included; 0 = that run's, or the parameter's.
+        hypervolume_goal: Hypervolume at which the run stops; 0 or NaN = no such goal.
+    """
+
+    run_id: str = ""
+    evaluations: int = 0
+    hypervolume_goal: float = 0.0
 
 
 class Earlier(NamedTuple):
-    """A run that another one goes on with: what happened in it, and its optimiser at the end."""
+    """An earlier run that a new run resumes: what happened in it, and its optimiser at the end."""
 
     history: History
     optimizer: Optimizer
 
 
-def read_earlier(runs_dir: str, run_id: str) -> Earlier:
-    """Read an earlier run, which may take as long as its training took; it is left as it is.
+async def read_earlier(context: TunerContext, session: Session, run_id: str) -> Earlier:
+    """Read an earlier run from its folder, while nothing else may begin; the folder is left as it is.
 
-    Args:
-        runs_dir: the tuner's.
-        run_id: of the run, which must be in there.
+    It may take as long as the training of its models took.
 
     Raises:
-        ValueError: there is no such run, or it cannot be gone on with.
+        ValueError, OSError: If there is no such run, or it cannot be resumed, with the reason.
     """
+    with session.reading():
+        runs_dir = context.parameters.runs_dir
+        earlier: Earlier = await context.worker.submit(_read, runs_dir, run_id)
+    return earlier
+
+
+def _read(runs_dir: str, run_id: str) -> Earlier:
     if not runs_dir:
-        raise ValueError(
-            "an earlier run is read from the folder runs_dir, a parameter that is empty"
-        )
+        raise ValueError("runs_dir is empty; earlier runs are read from that folder")
     folder = Path(runs_dir) / check_run_id(run_id)
     if folder.resolve().parent != Path(runs_dir).resolve():
         raise ValueError(f"the run '{run_id}' is a link out of '{runs_dir}'")
@@ -50,104 +71,120 @@ def read_earlier(runs_dir: str, run_id: str) -> Earlier:
 
 
 def start_run(
-    goal: Tune.Goal,
+    request: RunRequest,
     problem: Problem,
-    parameters: Mapping[str, Any],
+    parameters: TunerParameters,
     *,
-    goal_id: bytes,
     interrupt: Future,
     stamp: float,
     earlier: Earlier | None = None,
 ) -> Run:
-    """Check a goal and prepare its run.
+    """Check a request and prepare its run.
 
     Args:
-        goal: of the `tune` action.
-        problem: what is tuned.
-        parameters: of the tuner's node.
-        goal_id: of the goal.
-        interrupt: done when the run shall stop; its result says why.
-        stamp: now [s since the epoch].
-        earlier: the run that this one goes on with.
+        request: What is asked for.
+        problem: Problem to tune.
+        parameters: Parameters of the tuner's node.
+        interrupt: Done when the run must stop; its result is the reason.
+        stamp: Time now [s since the epoch].
+        earlier: Run that this one resumes.
 
     Raises:
-        ValueError, OSError: the goal cannot be served, with the reason.
+        ValueError, OSError: If the request cannot be served, with the reason.
     """
-    run_id = check_run_id(goal.run_id) if goal.run_id else new_run_id("run")
-    wanted = goal.hypervolume_goal if goal.hypervolume_goal > 0.0 else 0.0
-    settings = {
-        **parameters,
-        "budget": goal.evaluations or parameters["evaluations"],
-        "hypervolume_goal": wanted,
-    }
-    header = {"run_id": run_id, "stamp": stamp, "problem": problem.to_dict(), "settings": settings}
-    run_dir = _run_dir(run_id, parameters)
-    if earlier is None:
-        return Run(
-            run_id=run_id,
-            budget=settings["budget"],
-            hypervolume_goal=wanted,
-            optimizer=make_optimizer(problem, parameters),
-            goal_id=goal_id,
-            interrupt=interrupt,
-            journal=RunLog(run_dir, header),
-            model_input=settings["model_input"],
-        )
+    run_id = check_run_id(request.run_id) if request.run_id else new_run_id("run")
+    goal = request.hypervolume_goal if request.hypervolume_goal > 0.0 else 0.0
+    if earlier is not None:
+        return _resume(earlier, run_id, request, goal, problem, parameters, interrupt, stamp)
+    budget = request.evaluations or parameters.evaluations
+    settings = {**parameters.values, "budget": budget, "hypervolume_goal": goal}
+    start = StartRecord(run_id, stamp, problem, settings)
+    return Run(
+        run_id=run_id,
+        budget=budget,
+        hypervolume_goal=goal,
+        optimizer=make_optimizer(problem, settings),
+        interrupt=interrupt,
+        log=RunLog(parameters.run_dir(run_id), start),
+        model_input=parameters.model_input,
+    )
+
+
+def _resume(
+    earlier: Earlier,
+    run_id: str,
+    request: RunRequest,
+    goal: float,
+    problem: Problem,
+    parameters: TunerParameters,
+    interrupt: Future,
+    stamp: float,
+) -> Run:
+    """Prepare a run that begins with the evaluations of an earlier one."""
     history, optimizer = earlier
-    told = len(history.evaluations)
-    budget = goal.evaluations or history.budget
-    if budget <= told:
+    made = len(history.evaluations)
+    budget = request.evaluations or history.budget
+    if budget <= made:
         raise ValueError(
-            f"evaluations is {budget}, and the run '{history.run_id}' has {told} already; a budget "
-            "of more is allowed"
+            f"evaluations is {budget}; the run '{history.run_id}' has {made} already, more are allowed"
         )
-    # It begins as the earlier one did, so that it can be lived through from its own journal alone.
-    settings |= kept_settings(history.settings)
-    settings["budget"] = history.settings.get("budget", budget)
-    settings["hypervolume_goal"] = wanted or history.settings.get("hypervolume_goal", 0.0)
-    header["problem"] = history.problem.to_dict()
-    header["resumed_from"] = {"run_id": history.run_id, "evaluations": told}
+    # It starts as the earlier one did, so that it can be replayed from its own journal alone.
+    goal = goal or float(history.settings.get("hypervolume_goal", 0.0))
+    settings: Mapping[str, Any] = {
+        **parameters.values,
+        **kept_settings(history.settings),
+        "budget": history.settings.get("budget", budget),
+        "hypervolume_goal": goal,
+    }
+    start = StartRecord(
+        run_id,
+        stamp,
+        history.problem,
+        settings,
+        resumed_from={"run_id": history.run_id, "evaluations": made},
+    )
     records: list[Record] = list(history.records)
     if problem != history.last_problem:
         optimizer = optimizer.with_problem(problem)
     if problem != history.last_problem or budget != history.budget:
-        records.append(
-            {
-                "type": "change",
-                "stamp": stamp,
-                "index": told,
-                "problem": problem.to_dict(),
-                "budget": budget,
-            }
-        )
+        records.append(ChangeRecord(stamp, made, problem, budget))
     run = Run(
         run_id=run_id,
         budget=budget,
-        hypervolume_goal=float(settings["hypervolume_goal"]),
+        hypervolume_goal=goal,
         optimizer=optimizer,
-        goal_id=goal_id,
         interrupt=interrupt,
-        journal=RunLog(run_dir, header, records),
-        model_input=settings["model_input"],
-        earlier=earlier_evaluations(history, run_id),
+        log=RunLog(parameters.run_dir(run_id), start, records),
+        model_input=history.model_input,
+        records=_with_problems(history),
     )
     run.steering.queue.extend(dict(setpoint) for setpoint in history.waiting)
-    run.journal.save(optimizer)
     return run
 
 
+def _with_problems(history: History) -> list[tuple[Problem, EvaluationRecord]]:
+    """Return the evaluations of a run, each with the problem at that time."""
+    problem, found = history.problem, []
+    for step in history.steps:
+        if isinstance(step, ChangeRecord):
+            problem = step.problem
+        else:
+            found.append((problem, step))
+    return found
+
+
 def reopen_run(earlier: Earlier, interrupt: Future) -> Run:
-    """An earlier run as it was at its end: it does not go on, and nothing more is kept of it."""
+    """Return an earlier run as it was at its end; it is not active, and nothing more is kept of it."""
     history, optimizer = earlier
     return Run(
         run_id=history.run_id,
         budget=len(history.evaluations),
-        hypervolume_goal=0.0,
         optimizer=optimizer,
-        goal_id=b"",
         interrupt=interrupt,
         changeable=False,
-        journal=RunLog(None, {"run_id": history.run_id}),
+        log=RunLog(None, history.start),
+        model_input=history.model_input,
+        records=_with_problems(history),
     )
 
 
@@ -155,7 +192,7 @@ def start_holding(
     run: Run,
     focused: Optimizer,
     evaluations: int,
-    parameters: Mapping[str, Any],
+    parameters: TunerParameters,
     *,
     point: Mapping[str, float],
     interrupt: Future,
@@ -164,45 +201,41 @@ def start_holding(
     """Prepare the run that holds a working point.
 
     Args:
-        run: to whose front the point belongs.
-        focused: its optimiser, drawn in around the point.
-        evaluations: to be spent, of which the first is at the point.
-        parameters: of the tuner's node.
-        point: set-point of the working point.
-        interrupt: done when the holding shall stop.
-        stamp: now [s since the epoch].
+        run: Run to whose front the point belongs.
+        focused: Its optimiser, confined to the surroundings of the point.
+        evaluations: Number of evaluations to spend; the first is at the point.
+        parameters: Parameters of the tuner's node.
+        point: Set-point of the working point.
+        interrupt: Done when the holding must stop.
+        stamp: Time now [s since the epoch].
 
     Raises:
-        OSError: its journal cannot be written.
+        OSError: If its journal cannot be written.
     """
     run_id = new_run_id("hold")
     budget = len(focused.dataset) + evaluations
-    header = {
-        "run_id": run_id,
-        "stamp": stamp,
-        "problem": focused.problem.to_dict(),
-        "settings": {
-            **parameters,
-            **focused.settings.to_dict(),
-            "budget": budget,
-            "holds": run.run_id,
-        },
+    settings = {
+        **parameters.values,
+        **focused.settings.to_dict(),
+        "budget": budget,
+        "holds": run.run_id,
     }
+    start = StartRecord(
+        run_id,
+        stamp,
+        focused.problem,
+        settings,
+        resumed_from={"run_id": run.run_id, "evaluations": run.index},
+    )
     held = Run(
         run_id=run_id,
         budget=budget,
-        hypervolume_goal=0.0,
         optimizer=focused,
-        goal_id=b"",
         interrupt=interrupt,
         changeable=False,
-        journal=RunLog(_run_dir(run_id, parameters), header),
+        log=RunLog(parameters.run_dir(run_id), start, [record for _, record in run.records]),
         model_input=run.model_input,
+        records=list(run.records),
     )
     held.steering.queue.append(dict(point))
     return held
-
-
-def _run_dir(run_id: str, parameters: Mapping[str, Any]) -> Path | None:
-    """Where a run is kept; None where none is."""
-    return Path(parameters["runs_dir"]) / run_id if parameters["runs_dir"] else None

@@ -1,7 +1,6 @@
-"""What operators asked of a run that goes on, and what of it is not done yet.
+"""Pending requests of operators to the active run.
 
-Everything takes effect at the boundary between two evaluations, but for `skip`, which also ends the
-evaluation in flight.
+All take effect between two evaluations; only `skip` also ends the evaluation that is being made.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from mobo_tuner.core import Problem, ProblemError
 
 
 class Change(NamedTuple):
-    """What a run goes on with from the next evaluation on."""
+    """Problem and budget of a run from the next evaluation on."""
 
     problem: Problem
     budget: int
@@ -25,14 +24,14 @@ class Change(NamedTuple):
 
 @dataclass
 class Steering:
-    """What was asked of one run and not yet done.
+    """What operators asked of one run and what is not done yet.
 
     Attributes:
-        paused: whether it waits at the next boundary.
-        steps: evaluations that it may make although it is paused.
-        stopping: whether it ends at the next boundary.
-        change: that takes effect at the next boundary.
-        queue: set-points of operators, evaluated before the next suggestion.
+        paused: Whether the run waits before the next evaluation.
+        steps: Number of evaluations that it may make although it is paused.
+        stopping: Whether it ends before the next evaluation.
+        change: Change that takes effect before the next evaluation.
+        queue: Set-points of operators, evaluated before the next suggestion.
     """
 
     paused: bool = False
@@ -45,14 +44,14 @@ class Steering:
 
     @property
     def news(self) -> Future:
-        """Done when something is asked for, from this moment on."""
+        """Future that is done at the next request."""
         if self._news.done():
             self._news = Future()
         return self._news
 
     @property
     def skip(self) -> Future:
-        """Done when the evaluation that goes on or comes next shall be skipped."""
+        """Future that is done when the evaluation that is being made or comes next must be skipped."""
         return self._skip
 
     @property
@@ -61,35 +60,47 @@ class Steering:
         return self.paused and not self.steps
 
     def notify(self) -> None:
-        """Something was asked for."""
+        """Wake up a run that waits: something was requested."""
         if not self._news.done():
             self._news.set_result(None)
 
-    def ask_to_skip(self) -> None:
-        """Skip what goes on or comes next."""
+    def pause(self) -> None:
+        """Wait before the next evaluation."""
+        self.paused = True
+        self.steps = 0
+
+    def resume(self) -> None:
+        """Do not wait any more."""
+        self.paused = False
+        self.steps = 0
+
+    def step(self) -> None:
+        """Make one more evaluation, then wait."""
+        self.paused = True
+        self.steps += 1
+
+    def request_skip(self) -> None:
+        """Skip the evaluation that is being made or comes next."""
         if not self._skip.done():
             self._skip.set_result(None)
 
     def take_step(self) -> None:
-        """An evaluation begins."""
+        """Note that an evaluation begins."""
         self.steps = max(0, self.steps - 1)
 
     def forget_skip(self) -> None:
-        """The evaluation is over; a request to skip it does not concern the next one."""
+        """Note that an evaluation is over; a request to skip it does not apply to the next one."""
         self._skip = Future()
 
 
 def check_bounds(problem: Problem, setpoint: Mapping[str, float]) -> None:
-    """Check a set-point that someone gives for a run.
+    """Check a set-point that an operator gives.
 
     Raises:
-        ProblemError: it is not one of the problem's, or is outside its bounds.
+        ProblemError: If it does not name the problem's variables, or is outside their bounds.
     """
     problem.normalize(setpoint)
     for v in problem.variables:
         if not v.minimum <= setpoint[v.name] <= v.maximum:
-            raise ProblemError(
-                f"set-point {v.name} is {setpoint[v.name]:g}; {v.minimum:g} to {v.maximum:g} "
-                f"{v.unit}".rstrip()
-                + " is allowed"
-            )
+            allowed = f"{v.minimum:g} to {v.maximum:g} {v.unit}".rstrip()
+            raise ProblemError(f"set-point {v.name} is {setpoint[v.name]:g}; {allowed} is allowed")

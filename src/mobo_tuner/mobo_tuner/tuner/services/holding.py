@@ -8,10 +8,9 @@ import numpy as np
 from rclpy.task import Future
 
 from mobo_msgs_py import msg
-from mobo_tuner.core.dataset import Evaluation
-from mobo_tuner.ros.conversions import seconds
-from mobo_tuner.tuner.context import TunerParts
-from mobo_tuner.tuner.run.keeper import RunKeeper
+from mobo_tuner.runs.records import EvaluationRecord
+from mobo_tuner.tuner.context import TunerContext
+from mobo_tuner.tuner.run.loop import RunLoop
 from mobo_tuner.tuner.run.run import Run, RunError
 from mobo_tuner.tuner.run.start import start_holding
 
@@ -20,13 +19,13 @@ class Holding:
     """Carries out runs that start from a point of another run's front and stay around it.
 
     Args:
-        parts: of the tuner's node.
-        keeper: sees them through.
+        context: The tuner's node and what works in it.
+        loop: Carries out runs.
     """
 
-    def __init__(self, parts: TunerParts, keeper: RunKeeper) -> None:
-        self._parts = parts
-        self._keeper = keeper
+    def __init__(self, context: TunerContext, loop: RunLoop) -> None:
+        self._context = context
+        self._loop = loop
 
     async def hold(
         self,
@@ -36,67 +35,66 @@ class Holding:
         radius: float,
         evaluations: int,
         interrupt: Future,
-        tell: Callable[[int], None],
+        listener: Callable[[int], None],
     ) -> Mapping[str, float]:
         """Evaluate the point again, then look around it for a better one.
 
-        The evaluations make up a run of their own, and the first run learns of them, too, unless
-        it is that of a client who alone says what it is told.
+        The evaluations make up a run of their own. They are also added to the first run, unless an
+        ask/tell client owns it.
 
         Args:
-            run: to whose front the point belongs; it has ended.
-            index: of the point's evaluation.
-            weights: of the minimised objectives, whose sum is minimised.
-            radius: of the search around the point, as a share of each variable's range.
-            evaluations: to be spent.
-            interrupt: done when the holding shall stop.
-            tell: is told how many are spent, after each.
+            run: Run to whose front the point belongs; it has ended.
+            index: Index of the point's evaluation.
+            weights: Weights of the minimised objectives, whose sum is minimised.
+            radius: Radius of the search around the point, as a share of each variable's range.
+            evaluations: Number of evaluations to spend.
+            interrupt: Done when the holding must stop.
+            listener: Called with the number of evaluations spent, after each.
 
         Returns:
-            The best set-point of those that were evaluated now; the point itself where none was
-            feasible.
+            The best set-point of those that were evaluated now; the point itself if none was feasible.
 
         Raises:
-            RunError: the run did not end as it should.
+            RunError: If the run did not end well.
         """
         named = dict(zip(run.problem.objective_names, weights, strict=True))
-        point = dict(run.optimizer.dataset.evaluations[index].setpoint)
-        focused = await self._parts.worker.submit(
+        point = dict(run.records[index][1].setpoint)
+        focused = await self._context.worker.submit(
             run.optimizer.focus, index=index, weights=named, radius=radius
         )
-        before = len(focused.dataset)
+        before = run.index
         held = start_holding(
             run,
             focused,
             evaluations,
-            self._parts.parameters,
+            self._context.parameters,
             point=point,
             interrupt=interrupt,
-            stamp=seconds(self._parts.now()),
+            stamp=self._context.stamp(),
         )
 
-        def told(message: msg.Evaluation) -> None:
-            tell(message.index + 1 - before)
+        def count(record: EvaluationRecord, _: msg.Evaluation) -> None:
+            listener(record.index + 1 - before)
 
-        ending = await self._keeper.see_through(held, told)
-        made = focused.dataset.evaluations[before:]
-        for evaluation in () if run.by_client else made:
-            outputs = {n: (v, evaluation.stddevs[n]) for n, v in evaluation.values.items()}
-            await self._parts.worker.submit(
-                run.optimizer.tell, evaluation.setpoint, outputs, evaluation.readbacks
-            )
+        ending = await self._loop.carry_out(held, count)
+        made = [record for _, record in held.records[before:]]
+        if not run.by_client:
+            await self._context.worker.submit(run.learn_from, made)
         if ending.error_code:
             raise RunError(ending.error_code, ending.error_msg)
         return _best(run, made, weights) or point
 
 
 def _best(
-    run: Run, evaluations: Sequence[Evaluation], weights: Sequence[float]
+    run: Run, records: Sequence[EvaluationRecord], weights: Sequence[float]
 ) -> Mapping[str, float] | None:
-    """The set-point with the least weighted sum among the feasible evaluations."""
-    feasible = [e for e in evaluations if e.feasible]
+    """Return the set-point with the least weighted sum among the feasible evaluations."""
+    feasible = [record for record in records if record.feasible]
     if not feasible:
         return None
-    signed = [w * o.sign for w, o in zip(weights, run.problem.objectives, strict=True)]
-    sums = [np.dot(signed, [e.values[n] for n in run.problem.objective_names]) for e in feasible]
+    objectives = run.problem.objectives
+    sums = [
+        np.dot(weights, [record.diagnostics[o.name][0] * o.sign for o in objectives])
+        for record in feasible
+    ]
     return feasible[int(np.argmin(sums))].setpoint

@@ -2,71 +2,66 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
-from mobo_tuner.core import Problem, ProblemError
-from mobo_tuner.errors import UserError
-from mobo_tuner.tuner.context import TunerParts
+from mobo_tuner.core import Problem
+from mobo_tuner.errors import ParameterError, UserError
+from mobo_tuner.tuner.context import TunerContext
 from mobo_tuner.tuner.messages import machine_facts
 from mobo_tuner.tuner.parameters import TUNER
 from mobo_tuner.tuner.problem_parameters import ProblemParameters
-from mobo_tuner.tuner.run.run import Run
 from mobo_tuner.tuner.run.steering import Change
+from mobo_tuner.tuner.session import Session
 
 _WRITABLE = {spec.name: spec for spec in TUNER if spec.writable}
 
 
-class Changes:
-    """Checks what is set as a whole, and hands it to the run that goes on.
+class ParameterChanges:
+    """Checks what is set as a whole, and hands it to the active run.
 
-    A run takes it up before its next evaluation; without a run it is for those to come.
+    The run applies it before its next evaluation; without a run it is for the next one.
 
     Args:
-        parts: of the tuner's node.
-        parameters: of the problem.
-        current: gives the run that goes on, if any.
+        context: The tuner's node and what works in it.
+        parameters: Parameters of the problem.
+        session: Session with the active run.
     """
 
     def __init__(
-        self,
-        parts: TunerParts,
-        parameters: ProblemParameters,
-        current: Callable[[], Run | None],
+        self, context: TunerContext, parameters: ProblemParameters, session: Session
     ) -> None:
-        self._parts = parts
+        self._context = context
         self._parameters = parameters
-        self._current = current
-        parts.node.add_on_set_parameters_callback(self._check)
-        parts.node.add_post_set_parameters_callback(self._accept)
-
-    @property
-    def problem(self) -> Problem:
-        """As it is set now."""
-        return self._parameters.problem
+        self._session = session
+        context.node.add_on_set_parameters_callback(self._check)
+        context.node.add_post_set_parameters_callback(self._accept)
 
     def _check(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         problem_changes, own_changes = self._sorted(parameters)
-        run = self._current()
+        run = self._session.run
         try:
             for name, value in own_changes.items():
                 _WRITABLE[name].check(value)
             budget = own_changes.get("evaluations")
             if run is not None and run.changeable and budget is not None and budget <= run.index:
-                raise ProblemError(
+                raise ParameterError(
                     f"evaluations is {budget}; more than the {run.index} that are finished are "
                     "allowed, and stop_after_this ends a run"
                 )
             if problem_changes:
-                problem = self._parameters.with_changes(problem_changes)
-                if run is not None and run.machine is not None:
-                    problem.check_machine(*machine_facts(run.machine))
+                self._check_problem(self._parameters.with_changes(problem_changes))
         except UserError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _check_problem(self, problem: Problem) -> None:
+        run = self._session.run
+        if run is not None and run.machine is not None:
+            problem.check_machine(*machine_facts(run.machine))
 
     def _accept(self, parameters: Sequence[Parameter]) -> None:
         problem_changes, own_changes = self._sorted(parameters)
@@ -74,19 +69,21 @@ class Changes:
             return
         if problem_changes:
             self._parameters.accept(problem_changes)
-        self._parts.parameters.update(own_changes)
-        run = self._current()
+        self._context.parameters.update(own_changes)
+        run = self._session.run
         if run is None or not run.changeable:
             return
         pending = run.steering.change
         budget = pending.budget if pending else run.budget
-        run.steering.change = Change(self.problem, own_changes.get("evaluations", budget))
+        run.steering.change = Change(
+            self._parameters.problem, own_changes.get("evaluations", budget)
+        )
         run.steering.notify()
 
     def _sorted(
         self, parameters: Sequence[Parameter]
     ) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-        """What concerns the problem, and what the node itself."""
+        """Return what concerns the problem, and what concerns the node itself."""
         values = {parameter.name: parameter.value for parameter in parameters}
         problem = {name: value for name, value in values.items() if self._parameters.owns(name)}
         own = {name: value for name, value in values.items() if name in _WRITABLE}

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.action.server import ServerGoalHandle
 from rclpy.task import Future
 
 from mobo_msgs_py import msg
@@ -16,50 +14,45 @@ from mobo_msgs_py.srv import ListWorkingPoints
 from mobo_tuner.core import ProblemError
 from mobo_tuner.core.focus import choose_on_front
 from mobo_tuner.core.hypervolume import hypervolume
+from mobo_tuner.ros.action_server import Goal, GoalServer
 from mobo_tuner.ros.conversions import named_values, unique_values
-from mobo_tuner.tuner.context import TunerParts, sentence
+from mobo_tuner.tuner.context import TunerContext, describe
 from mobo_tuner.tuner.machine_client import MachineLostError
-from mobo_tuner.tuner.messages import front_message, problem_units
-from mobo_tuner.tuner.run.keeper import RunKeeper
+from mobo_tuner.tuner.messages import front_message
+from mobo_tuner.tuner.run.loop import RunLoop
 from mobo_tuner.tuner.run.run import Run, RunError
-from mobo_tuner.tuner.run.start import reopen_run
+from mobo_tuner.tuner.run.start import read_earlier, reopen_run
 from mobo_tuner.tuner.services.holding import Holding
-from mobo_tuner.tuner.session import Session, read_run
+from mobo_tuner.tuner.session import Session
 
 MAX_HOLD = 100_000  # evaluations
 DEFAULT_RADIUS = 0.1
 _CODES = GoToWorkingPoint.Result
-NOTHING = "nothing was measured yet: there is no front, unless run_id names an earlier run"
+_NOTHING = "no run has begun: there is no front, unless run_id names an earlier run"
 
 
 class WorkingPoints:
     """Serves `list_working_points` and `go_to_working_point`.
 
     Args:
-        parts: of the tuner's node.
-        session: tells whose front it is, and is taken while the machine moves.
-        keeper: sees the runs through that hold a point.
+        context: The tuner's node and what works in it.
+        session: Session that knows the latest run, and is occupied while the machine moves.
+        loop: Carries out the runs that hold a point.
     """
 
-    def __init__(self, parts: TunerParts, session: Session, keeper: RunKeeper) -> None:
-        self._parts = parts
+    def __init__(self, context: TunerContext, session: Session, loop: RunLoop) -> None:
+        self._context = context
         self._session = session
-        self._holding = Holding(parts, keeper)
-        self._interrupt: Future | None = None  # of the move that goes on
-        self._goal_id = b""
-        parts.node.create_service(ListWorkingPoints, "list_working_points", self._list)
-        self._server = ActionServer(
-            parts.node,
-            GoToWorkingPoint,
-            "go_to_working_point",
-            execute_callback=self._execute,
-            goal_callback=lambda _: GoalResponse.ACCEPT,  # refused with a reason in `_execute`
-            cancel_callback=self._cancel,
-            result_timeout=10,
+        self._holding = Holding(context, loop)
+        self._interrupt: Future | None = None  # of the move that is being made
+        self._reopened: Run | None = None  # the earlier run that was read last
+        context.node.create_service(ListWorkingPoints, "list_working_points", self._list)
+        self._server = GoalServer(
+            context.node, GoToWorkingPoint, "go_to_working_point", self._execute
         )
 
     def stop(self, reason: str) -> None:
-        """End the move or the holding that goes on; the machine holds where it is."""
+        """End the move or the holding; the machine holds where it is."""
         if self._interrupt is not None and not self._interrupt.done():
             self._interrupt.set_result(reason)
 
@@ -67,139 +60,114 @@ class WorkingPoints:
         self, request: ListWorkingPoints.Request, response: ListWorkingPoints.Response
     ) -> ListWorkingPoints.Response:
         try:
-            run = await self._run(request.run_id)
+            run = await self._find(request.run_id)
         except (ValueError, OSError) as error:
             response.message = str(error)
             return response
-        response.measured = run.front(self._parts.now())
+        response.measured = run.front_message(self._context.now())
         if request.predict:
             try:
-                front, volume = await self._parts.worker.submit(_predict, run)
-            except Exception as error:  # none of a run's concern
-                response.message = sentence(error)
+                front, volume = await self._context.worker.submit(_predict, run)
+            except Exception as error:  # the client is told; the node goes on
+                response.message = describe(error)
                 return response
             if not front:
                 response.message = "the models predict no point that is feasible and good enough"
                 return response
             response.predicted = front_message(
-                run.problem, front, volume, run.run_id, self._parts.now()
+                run.problem, front, volume, run.run_id, self._context.now()
             )
         response.success = True
         return response
 
     # ------------------------------------------------------------------ going there
 
-    def _cancel(self, goal_handle: ServerGoalHandle) -> CancelResponse:
-        if bytes(goal_handle.goal_id.uuid) == self._goal_id:
-            self.stop("a client canceled it")
-        return CancelResponse.ACCEPT
-
-    async def _execute(self, goal_handle: ServerGoalHandle) -> GoToWorkingPoint.Result:
-        result = GoToWorkingPoint.Result(error_code=_CODES.NONE)
+    async def _execute(self, goal: Goal) -> GoToWorkingPoint.Result:
+        result = GoToWorkingPoint.Result()
         try:
-            choice = await self._choose(goal_handle.request)
+            choice = await self._choose(goal.request)
         except (ValueError, OSError) as error:
-            self._parts.log.warning(f"goal refused: {error}")
             result.error_code, result.error_msg = _CODES.INVALID_GOAL, str(error)
-            goal_handle.abort()
             return result
-        self._session.moving = True
-        self._goal_id = bytes(goal_handle.goal_id.uuid)
-        self._interrupt = Future(executor=self._parts.node.executor)
-        if goal_handle.is_cancel_requested:
-            self._cancel(goal_handle)
-        result.point = choice.point
-        try:
-            await self._go_and_hold(choice, goal_handle, result)
-        except RunError as error:
-            result.error_code, result.error_msg = error.code, str(error)
-        except Exception as error:
-            result.error_code, result.error_msg = _CODES.INTERNAL, sentence(error)
-        finally:
-            self._session.moving = False
-            self._interrupt = None
-            self._parts.status.set(
-                state=msg.TunerStatus.IDLE, phase="", fraction=0.0, message=result.error_msg
-            )
-        if result.error_code == _CODES.NONE:
-            goal_handle.succeed()
-            return result
-        self._parts.log.warning(f"the way to a working point ends: {result.error_msg}")
-        if goal_handle.is_cancel_requested:
-            goal_handle.canceled()
-        else:
-            goal_handle.abort()
+        result.run_id, result.point = choice.run.run_id, choice.point
+        self._interrupt = self._context.future()
+        goal.on_cancel(lambda: self.stop("a client canceled it"))
+        with self._session.moving():
+            try:
+                await self._go_and_hold(choice, self._interrupt, goal, result)
+            except RunError as error:
+                result.error_code, result.error_msg = error.code, str(error)
+            except Exception as error:  # the client is told; the node goes on
+                result.error_code, result.error_msg = _CODES.INTERNAL, describe(error)
+            finally:
+                self._interrupt = None
+        self._context.status.work(msg.TunerStatus.IDLE, result.error_msg)
         return result
 
-    async def _run(self, run_id: str) -> Run:
-        """The run whose front is meant; an earlier one is read, and is the latest from then on.
+    async def _find(self, run_id: str) -> Run:
+        """Return the run whose front is meant, read from its folder if necessary.
+
+        Reading an earlier run does not make it the latest: a query changes nothing.
 
         Raises:
-            ValueError, OSError: there is none, or it cannot be read, with the reason.
+            ValueError, OSError: If there is none, or it cannot be read, with the reason.
         """
-        latest = self._session.latest
-        if latest is not None and run_id in ("", latest.run_id):
-            return latest
+        for known in (self._session.latest, self._reopened):
+            if known is not None and run_id == known.run_id:
+                return known
         if not run_id:
-            raise ValueError(NOTHING)
-        if self._session.occupied:
-            raise ValueError(self._session.occupied)
-        earlier = await read_run(self._parts, self._session, run_id)
-        interrupt = Future(executor=self._parts.node.executor)
-        self._session.latest = run = reopen_run(earlier, interrupt)
-        return run
+            if self._session.latest is None:
+                raise ValueError(_NOTHING)
+            return self._session.latest
+        self._session.check_free()
+        earlier = await read_earlier(self._context, self._session, run_id)
+        self._reopened = reopen_run(earlier, self._context.future())
+        return self._reopened
 
-    async def _choose(self, goal: GoToWorkingPoint.Goal) -> Choice:
+    async def _choose(self, request: GoToWorkingPoint.Goal) -> Choice:
         """Check a goal.
 
         Raises:
-            ValueError, OSError: it cannot be served, with the reason.
+            ValueError, OSError: If it cannot be served, with the reason.
         """
-        if self._session.occupied:
-            raise ValueError(self._session.occupied)
-        if goal.hold_evaluations > MAX_HOLD:
+        self._session.check_free()
+        if request.hold_evaluations > MAX_HOLD:
             raise ValueError(
-                f"hold_evaluations is {goal.hold_evaluations}; at most {MAX_HOLD} are allowed"
+                f"hold_evaluations is {request.hold_evaluations}; at most {MAX_HOLD} are allowed"
             )
-        radius = goal.radius or DEFAULT_RADIUS
+        radius = request.radius or DEFAULT_RADIUS
         if not 0.0 < radius <= 1.0:
             raise ValueError(f"radius is {radius:g}; 0 to 1 is allowed")
-        run = await self._run(goal.run_id)
+        run = await self._find(request.run_id)
         index, weights = None, None
-        if goal.choice == GoToWorkingPoint.Goal.BY_INDEX:
-            index = goal.index
-        elif goal.choice == GoToWorkingPoint.Goal.BY_WEIGHTS:
+        if request.choice == GoToWorkingPoint.Goal.BY_INDEX:
+            index = request.index
+        elif request.choice == GoToWorkingPoint.Goal.BY_WEIGHTS:
             weights = dict.fromkeys(run.problem.objective_names, 0.0)
-            weights |= unique_values("the list of weights", goal.weights)
+            weights |= unique_values("the list of weights", request.weights)
         else:
-            raise ValueError(f"choice is {goal.choice}; BY_INDEX and BY_WEIGHTS are allowed")
-        front = run.optimizer.pareto_front()
+            raise ValueError(f"choice is {request.choice}; BY_INDEX and BY_WEIGHTS are allowed")
+        front = list(run.found.front)
         setpoint, sums = choose_on_front(run.problem, front, index, weights)
-        message = run.front(self._parts.now())
+        points = run.front_message(self._context.now()).points
         chosen = next(
             point
-            for point, known in zip(message.points, front, strict=True)
+            for point, known in zip(points, front, strict=True)
             if known["setpoint"] == setpoint
         )
-        return Choice(run, chosen, setpoint, sums, goal.hold_evaluations, radius)
+        return Choice(run, chosen, setpoint, sums, request.hold_evaluations, radius)
 
     async def _go_and_hold(
-        self,
-        choice: Choice,
-        goal_handle: ServerGoalHandle,
-        result: GoToWorkingPoint.Result,
+        self, choice: Choice, interrupt: Future, goal: Goal, result: GoToWorkingPoint.Result
     ) -> None:
-        await self._meet_machine(choice.run)
-        await self._move(choice.run, choice.setpoint, goal_handle, result)
+        await self._meet_machine(choice.run, interrupt)
+        await self._move(choice.run, choice.setpoint, interrupt, goal, result)
         if not choice.hold_evaluations:
             return
-        assert self._interrupt is not None
 
-        def tell(evaluations: int) -> None:
+        def count(evaluations: int) -> None:
             result.evaluations = evaluations
-            goal_handle.publish_feedback(
-                GoToWorkingPoint.Feedback(phase="measuring", evaluations=evaluations)
-            )
+            goal.publish_feedback(phase="measuring", evaluations=evaluations)
 
         best = await self._holding.hold(
             choice.run,
@@ -207,73 +175,70 @@ class WorkingPoints:
             choice.weights,
             choice.radius,
             choice.hold_evaluations,
-            self._interrupt,
-            tell,
+            interrupt,
+            count,
         )
-        await self._move(choice.run, best, goal_handle, result)
+        await self._move(choice.run, best, interrupt, goal, result)
 
-    async def _meet_machine(self, run: Run) -> None:
-        parts = self._parts
-        assert self._interrupt is not None
-        parts.status.set(state=msg.TunerStatus.WAITING, message="")
+    async def _meet_machine(self, run: Run, interrupt: Future) -> None:
+        """Check that the machine is there and suits the run.
+
+        Raises:
+            RunError: If it is not or does not.
+        """
+        context = self._context
+        context.status.work(msg.TunerStatus.WAITING, "")
         try:
-            machine = await parts.machine.describe(
-                parts.parameters["discovery_timeout"], self._interrupt
+            machine = await context.machine.describe(
+                context.parameters.discovery_timeout, interrupt
             )
             if machine is not None:
                 run.meet(machine)
         except (MachineLostError, ProblemError) as error:
             raise RunError(_CODES.MACHINE_UNAVAILABLE, str(error)) from None
-        self._check_interrupt()
+        _check(interrupt)
 
     async def _move(
         self,
         run: Run,
         setpoint: Mapping[str, float],
-        goal_handle: ServerGoalHandle,
+        interrupt: Future,
+        goal: Goal,
         result: GoToWorkingPoint.Result,
     ) -> None:
         """Go to a set-point, ramped and verified.
 
         Raises:
-            RunError: the machine did not get there.
+            RunError: If the machine did not arrive.
         """
-        parts = self._parts
-        assert self._interrupt is not None
-        parts.status.set(state=msg.TunerStatus.MOVING, phase="", fraction=0.0)
+        context = self._context
+        context.status.work(msg.TunerStatus.MOVING)
 
         def on_feedback(feedback: Any) -> None:
-            parts.status.set(publish=False, phase=feedback.phase, fraction=feedback.fraction)
-            goal_handle.publish_feedback(
-                GoToWorkingPoint.Feedback(
-                    phase=feedback.phase,
-                    evaluations=result.evaluations,
-                    readbacks=list(feedback.readbacks),
-                )
+            context.status.progress(feedback.phase, feedback.fraction)
+            goal.publish_feedback(
+                phase=feedback.phase,
+                evaluations=result.evaluations,
+                readbacks=list(feedback.readbacks),
             )
 
-        units = problem_units(run.problem)
+        units = run.problem.units
         try:
-            answer = await parts.machine.apply(
-                named_values(setpoint, units), on_feedback, self._interrupt
+            answer = await context.machine.apply(
+                named_values(setpoint, units), on_feedback, interrupt
             )
         except MachineLostError as error:
             raise RunError(_CODES.MACHINE_LOST, str(error)) from None
         result.readbacks = named_values(answer.readbacks, units)
-        self._check_interrupt()
+        _check(interrupt)
         if answer.error_code == EvaluateSetpoint.Result.MACHINE_LOST:
             raise RunError(_CODES.MACHINE_LOST, answer.error_msg)
         if answer.error_code != EvaluateSetpoint.Result.NONE:
             raise RunError(_CODES.MACHINE_ERROR, answer.error_msg)
 
-    def _check_interrupt(self) -> None:
-        assert self._interrupt is not None
-        if self._interrupt.done():
-            raise RunError(_CODES.CANCELED, f"it was stopped: {self._interrupt.result()}")
-
 
 class Choice(NamedTuple):
-    """A goal that was understood."""
+    """A goal that was checked."""
 
     run: Run
     point: msg.ParetoPoint
@@ -283,8 +248,14 @@ class Choice(NamedTuple):
     radius: float
 
 
+def _check(interrupt: Future) -> None:
+    """Raise RunError if the move was interrupted."""
+    if interrupt.done():
+        raise RunError(_CODES.CANCELED, f"it was stopped: {interrupt.result()}")
+
+
 def _predict(run: Run) -> tuple[list[dict[str, Any]], float]:
-    """The predicted front and its hypervolume; made for the worker thread."""
+    """Return the predicted front and its hypervolume; made for the worker thread."""
     front = run.optimizer.predicted_front()
     objectives = run.problem.objectives
     points = np.array([[p["objectives"][o.name] * o.sign for o in objectives] for p in front])
