@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.core.exploration import explore
+from mobo_tuner.core.exploration import explore, spread_out
 from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.resolution import Taken
 
@@ -86,3 +86,17 @@ def test_exploration_keeps_to_what_is_free_and_likely() -> None:
         assert explore(np.zeros((1, 2)), left, rng)[0] > 0.0
         upper = explore(np.zeros((1, 2)), NOTHING, rng, lambda x: np.where(x[:, 1] > 0.5, 0, -99))
         assert upper[1] > 0.5
+
+
+def test_rows_are_spread_out_and_the_preferred_ones_come_first() -> None:
+    inputs = np.random.default_rng(0).uniform(-1.0, 1.0, (400, 2))
+    rows, preferred = np.arange(100, 400), np.arange(300, 310)
+    chosen = spread_out(inputs, rows, [preferred], 40)
+    assert len(set(chosen)) == 40
+    assert sorted(chosen) == list(chosen)
+    assert chosen.min() >= 100
+    assert set(preferred) <= set(chosen)
+    others = inputs[np.setdiff1d(chosen, preferred)]
+    distances = np.linalg.norm(others[:, None] - others, axis=2) + 9.0 * np.eye(len(others))
+    assert distances.min() > 0.1
+    assert len(spread_out(inputs, rows, [rows], 40)) == 40

@@ -1,3 +1,4 @@
+import time
 import warnings
 
 import numpy as np
@@ -152,3 +153,22 @@ def test_one_observation_teaches_nothing():
     x, z = np.zeros((1, 2)), np.ones(1)
     parameters = train(settings, kernel, 1.0, x, z, 0.0 * z, None, np.random.default_rng(0), 2)
     np.testing.assert_allclose(np.exp(parameters), [np.sqrt(2.0), np.sqrt(2.0), 1.0, 1e-4])
+
+
+def test_a_training_stops_at_its_deadline_with_the_best_so_far() -> None:
+    calls: list[float] = []
+
+    def bowl(parameters: np.ndarray) -> tuple[float, np.ndarray]:
+        calls.append(float(parameters @ parameters))
+        time.sleep(0.01)
+        return calls[-1], 2.0 * parameters * np.array([1.0, 1.3, 0.2])
+
+    start = np.array([[3.0, -2.0, 1.0]])
+    bounds = np.array([[-5.0, 5.0]] * 3)
+    free = np.ones(3, dtype=np.bool_)
+    best, value = train_lbfgs(bowl, start, bounds, free, 1e-12, deadline=time.monotonic() + 0.035)
+    assert len(calls) <= 5
+    assert value == pytest.approx(min(calls))
+    assert value == pytest.approx(float(best @ best))
+    best, value = train_lbfgs(bowl, start, bounds, free, 1e-12, deadline=time.monotonic() - 1.0)
+    assert best.tolist() == start[0].tolist()

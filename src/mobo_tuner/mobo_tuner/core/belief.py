@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,10 @@ class Belief:
 
     def front_rows(self) -> NDArray[np.intp]:
         """Return the evaluations on the front: feasible, below the reference point, non-dominated."""
+        return self._front_rows
+
+    @cached_property
+    def _front_rows(self) -> NDArray[np.intp]:
         below = is_below(self.objectives, self.problem.reference_point)
         rows = np.flatnonzero(self.feasible & below)
         return rows[is_nondominated(self.objectives[rows])] if len(rows) else rows

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +76,7 @@ class Dataset:
         self.evaluations: list[Evaluation] = []
         self._inputs: list[Array] = []
         self._targets: list[Array] = []
+        self._arrays: dict[tuple[str, str], NDArray[Any]] = {}  # made since the last change
 
     def __len__(self) -> int:
         return len(self.evaluations)
@@ -183,6 +185,7 @@ class Dataset:
     def _judged(self, evaluation: Evaluation) -> Evaluation:
         """Return the evaluation with what follows from its values."""
         values = {name: evaluation.value(name) for name in self.problem.required_diagnostics}
+        self._arrays.clear()
         complete = all(math.isfinite(value) for value in values.values())
         feasible = complete and self.problem.is_feasible(values)
         return replace(evaluation, complete=complete, feasible=feasible)
@@ -228,37 +231,40 @@ class Dataset:
     @property
     def inputs(self) -> Array:
         """Where all evaluations were, normalised, shape ``(n, d)``: readbacks, or set-points."""
-        return np.array(self._inputs).reshape(len(self), len(self.problem.variables))
+        return self._once("inputs", lambda: self._matrix(self._inputs))
 
     @property
     def targets(self) -> Array:
         """The set-points of all evaluations, normalised, shape ``(n, d)``."""
-        return np.array(self._targets).reshape(len(self), len(self.problem.variables))
+        return self._once("targets", lambda: self._matrix(self._targets))
 
     @property
     def failed(self) -> BoolArray:
         """Which evaluations failed and were not withdrawn, shape ``(n,)``."""
-        return np.array([e.failed and not e.forgotten for e in self.evaluations], dtype=bool)
+        return self._once(
+            "failed",
+            lambda: np.array([e.failed and not e.forgotten for e in self.evaluations], dtype=bool),
+        )
 
     @property
     def forgotten(self) -> BoolArray:
         """Which evaluations were withdrawn as a whole, shape ``(n,)``."""
-        return np.array([e.forgotten for e in self.evaluations], dtype=bool)
+        return self._once("forgotten", lambda: self._flags(lambda e: e.forgotten))
 
     @property
     def valid(self) -> BoolArray:
         """Which evaluations neither failed nor were withdrawn, shape ``(n,)``."""
-        return np.array([e.valid for e in self.evaluations], dtype=bool)
+        return self._once("valid", lambda: self._flags(lambda e: e.valid))
 
     @property
     def complete(self) -> BoolArray:
         """Which evaluations have every objective and constrained diagnostic, shape ``(n,)``."""
-        return np.array([e.complete for e in self.evaluations], dtype=bool)
+        return self._once("complete", lambda: self._flags(lambda e: e.complete))
 
     @property
     def feasible(self) -> BoolArray:
         """Which evaluations are complete and meet every constraint, shape ``(n,)``."""
-        return np.array([e.feasible for e in self.evaluations], dtype=bool)
+        return self._once("feasible", lambda: self._flags(lambda e: e.feasible))
 
     @property
     def objectives(self) -> Array:
@@ -269,8 +275,30 @@ class Dataset:
 
     def column(self, name: str) -> Array:
         """Values of one diagnostic, in its own unit, shape ``(n,)``; NaN where it does not count."""
-        return np.array([e.value(name) for e in self.evaluations], dtype=float)
+        return self._once(
+            "column", lambda: np.array([e.value(name) for e in self.evaluations], dtype=float), name
+        )
 
     def stddev_column(self, name: str) -> Array:
         """Standard deviations of one diagnostic, shape ``(n,)``; NaN where unknown."""
-        return np.array([e.stddevs.get(name, math.nan) for e in self.evaluations], dtype=float)
+        return self._once(
+            "stddev",
+            lambda: np.array(
+                [e.stddevs.get(name, math.nan) for e in self.evaluations], dtype=float
+            ),
+            name,
+        )
+
+    def _once(self, kind: str, make: Callable[[], NDArray[Any]], name: str = "") -> NDArray[Any]:
+        """Return an array that is made once until something changes; it is read-only."""
+        if (kind, name) not in self._arrays:
+            array = make()
+            array.setflags(write=False)
+            self._arrays[kind, name] = array
+        return self._arrays[kind, name]
+
+    def _flags(self, flag: Callable[[Evaluation], bool]) -> BoolArray:
+        return np.array([flag(e) for e in self.evaluations], dtype=bool)
+
+    def _matrix(self, rows: list[Array]) -> Array:
+        return np.array(rows).reshape(len(rows), len(self.problem.variables))

@@ -5,9 +5,10 @@ Space is filled: the next set-point is the one farthest from all evaluations and
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 from scipy.stats import qmc
 
@@ -49,3 +50,32 @@ def explore(
     if free.any():
         score[~free] = -np.inf
     return np.asarray(points[score.argmax()])
+
+
+def spread_out(
+    inputs: Array, rows: NDArray[np.intp], preferred: Sequence[NDArray[np.intp]], count: int
+) -> NDArray[np.intp]:
+    """Return `count` of some rows of the inputs ``(n, d)``, far from each other, in their order.
+
+    Args:
+        inputs: Inputs ``(n, d)``.
+        rows: Rows to choose from, more than `count`.
+        preferred: Rows to choose first, each kind filling at most 40 % of the places.
+        count: Number of rows.
+    """
+    chosen: list[int] = []
+    nearest = np.full(len(inputs), np.inf)
+
+    def choose(among: NDArray[np.intp], places: int) -> None:
+        for _ in range(min(places, len(among))):
+            row = int(among[nearest[among].argmax()])
+            if nearest[row] <= 0.0:
+                return
+            chosen.append(row)
+            np.minimum(nearest, np.square(inputs - inputs[row]).sum(axis=1), out=nearest)
+            nearest[row] = -1.0
+
+    for kind in preferred:
+        choose(kind, 2 * count // 5)
+    choose(rows, count - len(chosen))
+    return np.array(sorted(chosen), dtype=np.intp)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from copy import copy
 from typing import Any, NamedTuple
 
@@ -116,6 +117,8 @@ class GaussianProcess:
         *,
         rng: np.random.Generator | None = None,
         restarts: int | None = None,
+        most_trained: int | None = None,
+        seconds: float = np.inf,
     ) -> GaussianProcess:
         """Train on the observations and condition on them; O(n^3) for each step of the training.
 
@@ -127,6 +130,8 @@ class GaussianProcess:
             stddev: known standard deviations of the outputs `(n,)`; NaN where unknown.
             rng: draws the random starts; a generator of fixed seed without it.
             restarts: number of random starts in place of the settings'.
+            most_trained: most observations to train on; all of them without it.
+            seconds: time for the training [s], which ends with what was found.
 
         Returns:
             The model itself.
@@ -139,19 +144,23 @@ class GaussianProcess:
         kernel = self.settings.make_kernel(inputs.shape[1])
         generator = np.random.default_rng(0) if rng is None else rng
         starts = self.settings.restarts if restarts is None else restarts
+        part = slice(None, None, -(-len(outputs) // (most_trained or len(outputs))))
         states = []
         with single_blas_thread():
-            for name, scaling in self._scalings(inputs, outputs):
+            scalings = self._scalings(inputs, outputs)
+            begin = time.monotonic()
+            for i, (name, scaling) in enumerate(scalings):
                 parameters = train(
                     self.settings,
                     kernel,
                     scaling.scale,
-                    inputs,
-                    scaling.standardise(inputs, outputs),
-                    self._known_noise(scaling, outputs, noise),
+                    inputs[part],
+                    scaling.standardise(inputs, outputs)[part],
+                    self._known_noise(scaling, outputs, noise)[part],
                     self._trained.get(name),
                     generator,
                     starts,
+                    begin + seconds * (i + 1) / len(scalings),
                 )
                 self._trained[name] = parameters
                 model = _Model(name, scaling, parameters)

@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mobo_tuner.core.dataset import BoolArray, Dataset
+from mobo_tuner.core.exploration import spread_out
 from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.gaussian_process_settings import MeanFunction
+from mobo_tuner.core.pareto import is_nondominated
 from mobo_tuner.core.problem import LARGEST, Array, Problem, ProblemError
 from mobo_tuner.core.settings import OptimizerSettings
 from mobo_tuner.core.validity import ValidityModel
 
+_MOST_ROWS = 500  # evaluations that a model learns from
+_LEAST_ROWS = 100
+_MOST_TRAINED = 250  # of these, for the hyperparameters, where there are more evaluations than rows
+_SECONDS_OF_ALL = 0.5  # time budget of a suggestion from which on models learn from as many
+_TRAINING_SHARE = 0.4  # of the time budget
 _NEWS = 1e-3  # of the readings' spread
 _NEWS_OF_NOISE = 0.3  # of the noise: about that of ten readings' average
 
@@ -49,6 +58,14 @@ class Models:
     ) -> None:
         self._problem = problem
         self._refit_every = settings.refit_every
+        self._seconds = (
+            math.inf if settings.suggestion_seconds is None else settings.suggestion_seconds
+        )
+        self._most = _MOST_ROWS
+        if self._seconds < _SECONDS_OF_ALL:
+            self._most = max(
+                round(_MOST_ROWS * math.sqrt(self._seconds / _SECONDS_OF_ALL)), _LEAST_ROWS
+            )
         self._seed = seed
         self._signs = {o.name: o.sign for o in problem.objectives}
         if prior_means is not None and not isinstance(prior_means, Mapping):
@@ -75,6 +92,7 @@ class Models:
                     f"a prior mean is given for '{name}'; allowed are {', '.join(self._processes)}"
                 )
             self._means[name](np.zeros((2, len(problem.variables))))
+        self._last_kept: tuple[bytes, NDArray[np.intp]] = (b"", np.empty(0, dtype=np.intp))
         self.validity = ValidityModel()
         self._judged = 0  # number of evaluations that the model of validity holds
         self._trained = 0  # number of evaluations with an output at the last training
@@ -181,9 +199,9 @@ class Models:
         What it does depends on `data` and on when it was called before, on nothing else.
         """
         if len(data) > self._judged or self._outdated:
-            judged = ~data.forgotten
-            self.validity.fit(data.inputs[judged], ~data.failed[judged])
             self._judged = len(data)
+            judged = self._judged_rows(data)
+            self.validity.fit(data.inputs[judged], ~data.failed[judged])
         count = self._count(data)
         if count == 0 or (count == self._count(data, self._held) and not self._outdated):
             return
@@ -198,6 +216,7 @@ class Models:
     def _learn(self, data: Dataset, train: bool, restarts: int | None) -> None:
         """Give every process the rows of its output, by training or one after the other."""
         count, inputs = self._count(data), data.inputs
+        begin = time.monotonic()
         for position, (name, process) in enumerate(self._processes.items()):
             y, stddev = self._observations(name, data)
             rows = np.flatnonzero(np.isfinite(y))
@@ -205,11 +224,56 @@ class Models:
                 continue
             if train or process.n == 0:
                 rng = np.random.default_rng([self._seed, 1, count, position])
-                process.fit(inputs[rows], y[rows], stddev[rows], rng=rng, restarts=restarts)
+                kept = self._kept(data, rows) if train else rows
+                share = _TRAINING_SHARE * (position + 1) / len(self._processes)
+                process.fit(
+                    inputs[kept],
+                    y[kept],
+                    stddev[kept],
+                    rng=rng,
+                    restarts=restarts,
+                    most_trained=None if len(kept) == len(rows) else _MOST_TRAINED,
+                    seconds=max(begin + share * self._seconds - time.monotonic(), 0.0),
+                )
             else:
                 for row in rows[rows >= self._held]:
                     process.add(inputs[row], float(y[row]), float(stddev[row]))
         self._held = len(data)
+
+    def _kept(self, data: Dataset, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the evaluations to learn from, at most so many: all, or those that matter most.
+
+        Those are the last ones, points of the front, and what fills the space best. The models'
+        costs would grow as the cube of the evaluations, and those of a prediction as the square.
+        """
+        if len(rows) <= self._most:
+            return rows
+        objectives, feasible = data.objectives[rows], data.feasible[rows]
+        key = rows.tobytes() + objectives.tobytes() + feasible.tobytes()
+        if self._last_kept[0] != key:  # it is the same for most outputs
+            good = rows[is_nondominated(objectives) & feasible]
+            last = rows[-self._most // 4 :]
+            kept = spread_out(data.inputs, rows, [last, good], self._most)
+            self._last_kept = key, kept
+        return self._last_kept[1]
+
+    def _rows(self, data: Dataset, y: Array) -> NDArray[np.intp]:
+        """Return the evaluations of an output y ``(n,)`` that its process holds, in their order."""
+        rows = np.flatnonzero(np.isfinite(y[: self._held]))
+        trained = rows[rows < self._trained_rows]
+        return np.concatenate([self._kept(data, trained), rows[rows >= self._trained_rows]])
+
+    def _judged_rows(self, data: Dataset) -> NDArray[np.intp]:
+        """Return the evaluations that the model of validity learns from."""
+        rows = np.flatnonzero(~data.forgotten[: self._judged])
+        if len(rows) <= self._most // 2 or (len(rows) <= self._most and not self._is_hurried):
+            return rows
+        most = self._most // 2 if self._is_hurried else self._most
+        return spread_out(data.inputs, rows, [rows[data.failed[rows]]], most)
+
+    @property
+    def _is_hurried(self) -> bool:
+        return math.isfinite(self._seconds)
 
     def _count(self, data: Dataset, first: int | None = None) -> int:
         """Return how many of all or the first evaluations have any of the outputs."""
@@ -219,13 +283,13 @@ class Models:
     def forget(self, data: Dataset) -> None:
         """Drop what was withdrawn from `data` and learn what was taken back; `update` trains next."""
         if self._judged:
-            judged = np.flatnonzero(~data.forgotten[: self._judged])
+            judged = self._judged_rows(data)
             self.validity = ValidityModel()
             if len(judged):
                 self.validity.fit(data.inputs[judged], ~data.failed[judged])
         for name, process in self._processes.items():
             y, stddev = self._observations(name, data)
-            rows = np.flatnonzero(np.isfinite(y[: self._held]))
+            rows = self._rows(data, y)
             if len(rows) == 0:
                 self._processes[name] = GaussianProcess(process.settings, process.reference)
             else:
@@ -267,13 +331,13 @@ class Models:
                 f"evaluations and hold {self._held}, those of failures {self._judged}, "
                 f"but there are {len(data)}"
             )
-        judged = np.flatnonzero(~data.forgotten[: self._judged])
+        judged = self._judged_rows(data)
         self.validity = ValidityModel.from_state(
             state["validity"], data.inputs[judged], ~data.failed[judged]
         )
         for name in self._processes:
             y, stddev = self._observations(name, data)
-            rows = np.flatnonzero(np.isfinite(y[: self._held]))
+            rows = self._rows(data, y)
             self._processes[name] = GaussianProcess.from_state(
                 state["processes"][name],
                 data.inputs[rows],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import time
 import warnings
 from collections.abc import Mapping
 from difflib import get_close_matches
@@ -51,6 +52,7 @@ FAILED_TOLERANCE = 0.02
 # A set-point within 0.05 % of every variable's range of a measured one must promise something new.
 _NEAR = 1e-3
 _ALIKE = 0.05  # range of a constraint's readings, as a share of what they lack
+_OFTEN_PACKED = 500  # evaluations up to which the boxes are built again after each training
 _HOPELESS = 1e-4  # expected improvement of each objective, as a share of its spread
 _SKILL = 0.5  # least share of their variance that a model must explain to be followed
 
@@ -102,6 +104,7 @@ class Optimizer:
         self._belief: Belief | None = None  # of all that was told, once it was needed
         self._believed_hypervolume: float | None = None
         self._last_source: Source = "initial"
+        self._deadline = math.inf  # of the present suggestion, of `time.monotonic`
         self._told: set[str] = set()  # outputs that were told, or are known to be misspelt
 
     @property
@@ -271,7 +274,8 @@ class Optimizer:
 
     def _update_models(self) -> None:
         self._models.update(self.dataset)
-        self._forget_belief()
+        if not is_certain(self.dataset):
+            self._forget_belief()
 
     def _warn_of_misspelt(self, outputs: Mapping[str, Any]) -> None:
         """Warn, once for each, of an unknown output that looks like one that was never told."""
@@ -428,6 +432,7 @@ class Optimizer:
             "settings": self.settings.to_dict(),
             "seed": self.seed,
             "hypervolume": self._hypervolume,
+            "packed": self._packed,
             "models": self._models.get_state(),
             "forgotten": [list(each) for each in self.dataset.withdrawn],
         }
@@ -492,6 +497,11 @@ class Optimizer:
         if not 0.0 <= restored._hypervolume < math.inf:
             raise ProblemError(f"the state's hypervolume is {restored._hypervolume}")
         restored._models.set_state(state["models"], restored.dataset)
+        packed = state["packed"]
+        if isinstance(packed, bool) or not isinstance(packed, int) or packed < 0:
+            raise ProblemError(f"the state's boxes hold {packed!r} evaluations")
+        if packed and restored.problem.has_references:
+            restored._pack(min(packed, len(restored.dataset)))
         return restored
 
     def save(self, path: str | Path) -> None:
@@ -537,6 +547,8 @@ class Optimizer:
 
     def _candidate(self) -> Array:
         """The maximum of the acquisition function, shape ``(d,)``; exploration where it is zero."""
+        seconds = self.settings.suggestion_seconds
+        self._deadline = math.inf if seconds is None else time.monotonic() + seconds
         self._update_models()
         rng = np.random.default_rng([self.seed, 2, len(self.dataset)])
         inputs, failed = self.dataset.inputs, self.dataset.failed
@@ -557,6 +569,8 @@ class Optimizer:
         used = taken(self.dataset)
         if self._pays(found, used):
             return found
+        if self._seconds_left == 0.0:
+            return self._explored(rng)
         # The machine was there: the best elsewhere, or else what is known least.
         centers = np.vstack([inputs[failed], used.centers])
         reach = np.vstack([np.full(inputs[failed].shape, FAILED_TOLERANCE), used.reach])
@@ -564,6 +578,12 @@ class Optimizer:
         if other is not None and self._pays(other, used):
             return other
         return self._explored(rng)
+
+    @property
+    def _seconds_left(self) -> float | None:
+        """Time for the rest of the suggestion [s]; None where there is no limit."""
+        left = self._deadline - time.monotonic()
+        return None if math.isinf(left) else max(left, 0.0)
 
     def _maximum(
         self,
@@ -580,7 +600,7 @@ class Optimizer:
             starts=self.dataset.inputs[self._believed().front_rows()],
             excluded=excluded,
             tolerance=tolerance,
-            seconds=self.settings.suggestion_seconds,
+            seconds=self._seconds_left,
         )
         return None if maximum is None else maximum.x
 
@@ -725,8 +745,15 @@ class Optimizer:
         on the data and the last training only, so that a restored optimiser has the same.
         """
         trained = self._models.trained_rows
-        if self._packed == trained:
+        if self._packed == trained or (trained > _OFTEN_PACKED and trained < 1.2 * self._packed):
             return self._boxes
+        if trained > _OFTEN_PACKED and self.settings.suggestion_seconds is not None:
+            return self._boxes
+        self._pack(trained)
+        return self._boxes
+
+    def _pack(self, trained: int) -> None:
+        """Build the boxes of the first evaluations at once, and add the others."""
         feasible = np.flatnonzero(self.dataset.feasible)
         objectives = self.dataset.objectives
         rows = feasible[feasible < trained]
@@ -734,7 +761,6 @@ class Optimizer:
         for row in feasible[len(rows) :]:
             self._boxes.add(objectives[row])
         self._packed = trained
-        return self._boxes
 
 
 def _no_boxes(problem: Problem) -> BoxDecomposition:

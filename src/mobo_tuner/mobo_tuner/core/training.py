@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -132,6 +133,7 @@ def train_lbfgs(
     free: NDArray[np.bool_],
     tolerance: float,
     iterations: int = 100,
+    deadline: float = np.inf,
 ) -> tuple[FloatArray, float]:
     """Best hyperparameters and their value by L-BFGS-B from every start.
 
@@ -143,31 +145,47 @@ def train_lbfgs(
         tolerance: a start is done when a step gains less than this in the value (relative to the
             value where that is above 1), or no derivative exceeds ten times this.
         iterations: most iterations from each start.
+        deadline: when to stop with what was found [s], of `time.monotonic`.
     """
     best, best_value = np.array(starts[0]), np.inf
     if not free.any():
         return best, objective(best)[0]
+    lowest, lowest_value = best[free], np.inf
 
     def restricted(moving: FloatArray) -> tuple[float, FloatArray]:
+        nonlocal lowest, lowest_value
+        if time.monotonic() > deadline:
+            raise _OutOfTimeError
         parameters = best.copy()
         parameters[free] = moving
         value, gradient = objective(parameters)
+        if value < lowest_value:
+            lowest, lowest_value = moving.copy(), value
         return value, gradient[free]
 
     limits = bounds[free]
     for start in starts:
-        result = minimize(
-            restricted,
-            np.clip(start[free], limits[:, 0], limits[:, 1]),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=limits,
-            options={"maxiter": iterations, "ftol": tolerance, "gtol": 10.0 * tolerance},
-        )
+        try:
+            result = minimize(
+                restricted,
+                np.clip(start[free], limits[:, 0], limits[:, 1]),
+                jac=True,
+                method="L-BFGS-B",
+                bounds=limits,
+                options={"maxiter": iterations, "ftol": tolerance, "gtol": 10.0 * tolerance},
+            )
+        except _OutOfTimeError:
+            if lowest_value < best_value:
+                best[free], best_value = lowest, lowest_value
+            break
         if result.fun < best_value:
             best[free] = result.x
             best_value = float(result.fun)
     return best, best_value
+
+
+class _OutOfTimeError(Exception):
+    """The time for the training is over."""
 
 
 def train_adam(
@@ -177,6 +195,7 @@ def train_adam(
     free: NDArray[np.bool_],
     rate: float,
     steps: int,
+    deadline: float = np.inf,
 ) -> tuple[FloatArray, float]:
     """Hyperparameters and their value after a number of Adam steps, `[Kingma2015]_` Algorithm 1.
 
@@ -187,6 +206,8 @@ def train_adam(
     parameters[~free] = start[~free]
     mean, square = np.zeros_like(start), np.zeros_like(start)
     for step in range(1, steps + 1):
+        if time.monotonic() > deadline:
+            break
         gradient = np.where(free, objective(parameters)[1], 0.0)
         mean += 0.1 * (gradient - mean)
         square += 0.001 * (gradient * gradient - square)
@@ -234,6 +255,7 @@ def train(
     former: FloatArray | None,
     rng: np.random.Generator,
     restarts: int,
+    deadline: float = np.inf,
 ) -> FloatArray:
     """Hyperparameters `(k + 2,)` for standardised observations, as the settings say.
 
@@ -250,6 +272,7 @@ def train(
         former: where to start, from the last training.
         rng: draws the other starts.
         restarts: how many of them.
+        deadline: when to stop with what was found [s], of `time.monotonic`.
     """
     objective = NegativeLogPosterior(kernel, x, z, extra, settings.prior == "weak")
     held, free = held_parameters(settings, kernel, scale)
@@ -257,19 +280,20 @@ def train(
     default = objective.default_parameters()
     start = default if former is None else former
     start = np.where(free, np.clip(start, bounds[:, 0], bounds[:, 1]), held)
-    if len(z) < 2 or not free.any():
+    if len(z) < 2 or not free.any() or time.monotonic() > deadline:
         return start
     if not z.any():
         # Alike so far: nothing says how far the function varies, so that its scale stays one.
         return np.where(free, np.append(default[:-2], [0.0, bounds[-1, 0]]), held)
     if settings.training == "adam":
         steps = settings.adam_steps if former is None else settings.adam_retraining_steps
-        return train_adam(objective, start, bounds, free, settings.adam_rate, steps)[0]
+        return train_adam(objective, start, bounds, free, settings.adam_rate, steps, deadline)[0]
     drawn = default + _RESTART_SPREAD * rng.standard_normal((restarts, len(start)))
     starts = np.vstack([start, np.where(free, drawn, held)])
     if len(z) > _SUBSET and (former is None or restarts > 0):
-        starts = _best_start(objective, starts, bounds, free, former is not None)
-    return train_lbfgs(objective, starts, bounds, free, _TOLERANCE / len(z))[0]
+        starts = _best_start(objective, starts, bounds, free, former is not None, deadline)
+    tolerance = _TOLERANCE / len(z)
+    return train_lbfgs(objective, starts, bounds, free, tolerance, deadline=deadline)[0]
 
 
 def _best_start(
@@ -278,6 +302,7 @@ def _best_start(
     bounds: FloatArray,
     free: NDArray[np.bool_],
     keep_first: bool,
+    deadline: float,
 ) -> FloatArray:
     """The one of the starts `(r, k)`, improved on a subset of the observations, `(1, k)`.
 
@@ -296,8 +321,10 @@ def _best_start(
     improved = [
         start
         if keep_first and i == 0
-        else train_lbfgs(subset, start[None], bounds, free, tolerance)[0]
+        else train_lbfgs(subset, start[None], bounds, free, tolerance, deadline=deadline)[0]
         for i, start in enumerate(starts)
     ]
+    if time.monotonic() > deadline:
+        return np.array(improved[-1:])
     best = int(np.argmin([objective(start)[0] for start in improved]))
     return np.array(improved[best : best + 1])
