@@ -111,7 +111,7 @@ def test_a_run_tells_everything_once_on_the_calling_thread(client: TunerClient) 
         assert evaluation.objectives["f1"] == pytest.approx(math.hypot(x1 - 1.0, x2 - 1.0))
         assert evaluation.objectives["f2"] == pytest.approx(math.hypot(x1 + 1.0, x2 + 1.0))
         assert evaluation.valid
-        assert evaluation.error == ""
+        assert evaluation.error_msg == ""
     last = evaluations[-1]
     assert result.front.hypervolume == last.hypervolume == fronts[-1].hypervolume
     assert [p.index for p in result.front.points] == [p.index for p in fronts[-1].points]
@@ -267,6 +267,7 @@ def test_working_points_are_listed_gone_to_and_held(client: TunerClient) -> None
     assert (points.measured.run_id, indices(points.measured)) == ("new", indices(new))
     assert points.measured.hypervolume == new.hypervolume
     assert indices(client.working_points("old").measured) == indices(old)
+    assert client.working_points().measured.run_id == "new", "a query must change nothing"
     predicted = client.working_points(predict=True).predicted
     assert predicted is not None
     assert all(p.index is None and min(p.stddevs.values()) > 0.0 for p in predicted.points)
@@ -303,15 +304,15 @@ def test_a_loop_of_ones_own_needs_no_machine(client: TunerClient, start_tuner: S
     kept = client.tell(first, {"f1": 1.5, "f2": (2.5, 0.25)}, readbacks={"x1": 0.25})
     assert (kept.run_id, kept.index, kept.setpoint) == (first.run_id, 0, first.setpoint)
     assert kept.objectives == {"f1": 1.5, "f2": 2.5}
-    assert kept.stddevs["f2"] == 0.25
-    assert math.isnan(kept.stddevs["f1"])
+    assert kept.diagnostics["f2"] == (2.5, 0.25)
+    assert math.isnan(kept.stddev("f1"))
     assert kept.readbacks == {"x1": 0.25}
     assert refusal(lambda: client.tell(first, {"f1": 1.0})).code == ErrorCode.REFUSED
     own = client.tell(HERE, {"f1": 1.0})  # what was measured is learned
     assert (own.index, own.valid, own.feasible, own.source) == (1, True, False, "operator")
     failed = client.tell(HERE, {"f1": math.nan})
     assert (failed.index, failed.valid) == (2, False)
-    assert "f1, f2" in failed.error
+    assert "f1, f2" in failed.error_msg
 
 
 def test_two_tuners_in_namespaces_are_kept_apart(start_node: NodeStarter) -> None:

@@ -160,13 +160,15 @@ def make_evaluation(run_id: str, index: int) -> Evaluation:
     """Evaluation 1 fails, evaluation 2 is infeasible, the others get better and better."""
     valid = index != 1
     value = 30.0 - index if valid else math.nan
+    measured = [
+        NamedValue(name="eps_x", value=value, stddev=0.25, unit="mm mrad"),
+        NamedValue(name="yield", value=0.5 + 0.01 * index, stddev=math.nan),
+    ]
     return Evaluation(
         run_id=run_id,
         index=index,
-        objectives=[
-            NamedValue(name="eps_x", value=value, stddev=0.25, unit="mm mrad"),
-            NamedValue(name="yield", value=0.5 + 0.01 * index, stddev=math.nan),
-        ],
+        diagnostics=measured,
+        objectives=measured,
         valid=valid,
         feasible=valid and index != 2,
         hypervolume=100.0 + index,

@@ -44,11 +44,11 @@ from mobo_tuner.client.values import (
     number,
     parameter_value,
     point_of,
-    source_of,
     status_of,
     units_of,
 )
 from mobo_tuner.ros.conversions import values_of
+from mobo_tuner.runs.records import SOURCES
 from mobo_tuner.runs.run_id import new_run_id
 
 TIMEOUT = 10.0  # [s] for the tuner to appear, and to answer what is quick
@@ -412,7 +412,7 @@ class TunerClient:
         if error is not None:
             raise error
         return Arrival(
-            run_id=goal.run_id,
+            run_id=result.run_id,
             point=point_of(result.point),
             readbacks=values_of(result.readbacks),
             units=units_of(result.readbacks),
@@ -452,7 +452,7 @@ class TunerClient:
             run_id=answer.run_id,
             index=answer.index,
             setpoint=values_of(answer.setpoint),
-            source=source_of(answer.source),
+            source=SOURCES[answer.source],
         )
 
     def tell(

@@ -11,7 +11,8 @@ from typing import Any
 from mobo_msgs_py import msg
 from mobo_tuner.core.problem import Constraint, Objective, Observable, Problem, Variable
 from mobo_tuner.errors import UserError
-from mobo_tuner.ros.conversions import seconds, values_of
+from mobo_tuner.ros.conversions import values_of
+from mobo_tuner.runs.records import EvaluationRecord, Source, from_message
 
 
 class ErrorCode(StrEnum):
@@ -74,50 +75,22 @@ class Status:
 
 
 @dataclass(frozen=True)
-class Evaluation:
-    """One evaluation of a run; quantities are by name, in their own units, NaN = not measured.
+class Evaluation(EvaluationRecord):
+    """One evaluation as its run keeps it, with what clients need beside it.
 
     Attributes:
         run_id: Id of the run.
-        index: Index within the run, from 0.
-        source: "initial", "model" or "operator".
-        attempts: Number of tries, the last one included.
-        stamp: End of the measurement [s since the epoch].
-        setpoint: Where the machine was asked to go.
-        readbacks: Where it was.
-        diagnostics: Means of everything that was measured.
-        objectives: Means of the objectives.
-        stddevs: Standard deviations of diagnostics and objectives; NaN = unknown.
-        units: Units of all of them.
-        valid: Whether every objective and constrained quantity was measured.
-        feasible: Whether it is valid and meets every constraint.
-        non_dominated: Whether it is on the Pareto front after this evaluation.
-        hypervolume: Hypervolume of the front after this evaluation.
-        error: Why it failed; empty if it did not.
-        suggest_seconds: Wall time of the suggestion [s].
-        machine_seconds: Wall time that the machine took [s].
-        total_seconds: Wall time of the whole step [s].
+        objectives: Means of the objectives, in their units; NaN = not measured.
+        units: Units of variables and diagnostics.
     """
 
     run_id: str
-    index: int
-    source: str
-    attempts: int
-    stamp: float
-    setpoint: Mapping[str, float]
-    readbacks: Mapping[str, float]
-    diagnostics: Mapping[str, float]
     objectives: Mapping[str, float]
-    stddevs: Mapping[str, float]
     units: Mapping[str, str]
-    valid: bool
-    feasible: bool
-    non_dominated: bool
-    hypervolume: float
-    error: str
-    suggest_seconds: float
-    machine_seconds: float
-    total_seconds: float
+
+    def stddev(self, name: str) -> float:
+        """Return the standard deviation of a diagnostic, in its unit; NaN = unknown."""
+        return self.diagnostics.get(name, (math.nan, math.nan))[1]
 
 
 @dataclass(frozen=True)
@@ -225,13 +198,13 @@ class Suggestion:
         run_id: Id of the run that the answers make up.
         index: Index of the evaluation that is asked for.
         setpoint: Every variable, in its unit.
-        source: "initial" or "model".
+        source: Where the set-point comes from: "initial" or "model".
     """
 
     run_id: str
     index: int
     setpoint: Mapping[str, float]
-    source: str
+    source: Source
 
 
 _STATES = {
@@ -242,11 +215,6 @@ _STATES = {
     msg.TunerStatus.CANCELING: "canceling",
     msg.TunerStatus.PAUSED: "paused",
     msg.TunerStatus.MOVING: "moving",
-}
-_SOURCES = {
-    msg.Evaluation.INITIAL: "initial",
-    msg.Evaluation.MODEL: "model",
-    msg.Evaluation.OPERATOR: "operator",
 }
 
 
@@ -267,34 +235,18 @@ def status_of(message: msg.TunerStatus) -> Status:
     )
 
 
-def source_of(source: int) -> str:
-    """Return where a set-point comes from, in a word."""
-    return _SOURCES.get(source, "unknown")
-
-
 def evaluation_of(message: msg.Evaluation) -> Evaluation:
-    """Return an evaluation from its message."""
-    measured = (*message.diagnostics, *message.objectives)
+    """Return an evaluation from its message.
+
+    Raises:
+        ValueError: If its source is unknown.
+    """
+    named = (*message.setpoint, *message.diagnostics, *message.objectives)
     return Evaluation(
+        **vars(from_message(message)),
         run_id=message.run_id,
-        index=message.index,
-        source=source_of(message.source),
-        attempts=message.attempts,
-        stamp=seconds(message.header.stamp),
-        setpoint=values_of(message.setpoint),
-        readbacks=values_of(message.readbacks),
-        diagnostics=values_of(message.diagnostics),
         objectives=values_of(message.objectives),
-        stddevs={item.name: item.stddev for item in measured},
-        units=units_of((*message.setpoint, *measured)),
-        valid=message.valid,
-        feasible=message.feasible,
-        non_dominated=message.non_dominated,
-        hypervolume=message.hypervolume,
-        error="" if message.valid else message.error_msg or "not fully measured",
-        suggest_seconds=message.suggest_seconds,
-        machine_seconds=message.machine_seconds,
-        total_seconds=message.total_seconds,
+        units=units_of(named),
     )
 
 

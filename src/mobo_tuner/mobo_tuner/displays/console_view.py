@@ -183,7 +183,7 @@ def evaluation_line(evaluation: Evaluation, budget: int) -> str:
     parts += [_quantity(evaluation, name) for name in evaluation.objectives]
     parts.append(f"suggested in {evaluation.suggest_seconds:.2f} s")
     if not evaluation.valid:
-        parts.append(f"failed: {evaluation.error}")
+        parts.append(f"failed: {evaluation.error_msg or 'not measured'}")
     elif not evaluation.feasible:
         parts.append("infeasible")
     width = len(str(budget))
@@ -262,7 +262,7 @@ def _objectives(progress: RunProgress) -> RenderableType:
 
 
 def _value(evaluation: Evaluation, name: str) -> str:
-    value, stddev = evaluation.objectives[name], evaluation.stddevs[name]
+    value, stddev = evaluation.objectives[name], evaluation.stddev(name)
     if math.isnan(value):
         return "—"
     spread = "" if math.isnan(stddev) else f" ± {stddev:.1g}"
