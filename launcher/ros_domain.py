@@ -13,10 +13,12 @@ import os
 import random
 import socket
 import tempfile
+from pathlib import Path
 from types import TracebackType
 
 from launcher.errors import DomainError
 
+PROFILE = Path(__file__).parent / "discovery.xml"
 FIRST, LAST = 1, 101
 _PARTICIPANTS = 10  # of other programs that are looked for in a domain
 
@@ -76,12 +78,23 @@ class RosDomain:
     @property
     def environment(self) -> dict[str, str]:
         """The environment variables of everything that shall live in this domain."""
-        return {
-            "ROS_DOMAIN_ID": str(self.id),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": self._range,
-            # Shared memory of a killed process stays behind and can stall those that come after.
-            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
-        }
+        return surroundings(self.id, self._range)
+
+
+def surroundings(domain_id: int, reach: str = "LOCALHOST") -> dict[str, str]:
+    """Return the environment variables of programs that meet in a domain.
+
+    Args:
+        domain_id: Id of the domain.
+        reach: Discovery range, as in `ROS_AUTOMATIC_DISCOVERY_RANGE`.
+    """
+    return {
+        "ROS_DOMAIN_ID": str(domain_id),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": reach,
+        # Shared memory of a killed process stays behind and can stall those that come after.
+        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+        "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE),
+    }
 
 
 def _lock(domain_id: int) -> int | None:

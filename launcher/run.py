@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import json
 import os
+import shlex
 import shutil
 import tempfile
 from collections.abc import Mapping
@@ -332,7 +333,8 @@ def _tune(
         goes_back=checked.goes_back,
     )
     print(f"run {folder.run_id} in ROS domain {domain.id}; to join from another terminal:")
-    print("  export " + " ".join(f"{k}={v}" for k, v in domain.environment.items()), flush=True)
+    variables = (f"{name}={shlex.quote(text)}" for name, text in domain.environment.items())
+    print(f"  export {' '.join(variables)}", flush=True)
     supervisor = Supervisor(project.processes, launch)
     conclusion = supervisor.run()
     if folder.has_journal or conclusion.state == "finished":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -13,6 +14,7 @@ from launcher.command_line import STEERING, Parser, add_domain_id, add_runs_dir
 from launcher.environment import clean_environment
 from launcher.errors import RunFolderError, UsageError
 from launcher.programs import open_project
+from launcher.ros_domain import surroundings
 from launcher.run_folder import RunFolder
 
 PROGRAM = "mobo_tuner.nodes.steer"
@@ -22,6 +24,7 @@ DISCOVERY = (
     "ROS_AUTOMATIC_DISCOVERY_RANGE",
     "ROS_STATIC_PEERS",
     "FASTDDS_BUILTIN_TRANSPORTS",
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
 )
 WITH_RUN = ("points", "go")  # the program's verbs that concern earlier runs, too
 
@@ -42,14 +45,14 @@ def steer(root: Path, arguments: Sequence[str]) -> NoReturn:
     options, others = _parser(root, verb).parse_known_args(arguments[1:])
     if verb in WITH_RUN and options.run:
         others = [*others, "--run", Path(options.run).name]
-    surroundings = {} if {"-h", "--help"} & {*others} else _surroundings(options, verb, os.environ)
+    environment = {} if {"-h", "--help"} & {*others} else _find_tuner(options, verb, os.environ)
     with open_project(root) as project:
         python = str(project.environment.python)
     sys.stdout.flush()
     os.execve(
         python,
         [python, "-P", "-m", PROGRAM, verb, *others],
-        clean_environment(**surroundings),
+        clean_environment(**environment),
     )
 
 
@@ -63,7 +66,7 @@ def _parser(root: Path, verb: str) -> argparse.ArgumentParser:
     return parser
 
 
-def _surroundings(
+def _find_tuner(
     options: argparse.Namespace, verb: str, environment: Mapping[str, str]
 ) -> dict[str, str]:
     """Return the environment variables with which the program finds the tuner.
@@ -77,24 +80,24 @@ def _surroundings(
     own = {name: environment[name] for name in DISCOVERY if name in environment}
     if options.domain_id is not None:
         return {**own, "ROS_DOMAIN_ID": str(options.domain_id)}
-    running = {
-        folder.run_id: str(facts["domain_id"])
-        for folder in RunFolder.all(options.runs_dir)
-        if (facts := folder.facts()).get("state") == "running" and "domain_id" in facts
-    }
     if options.run:
         try:
-            facts = RunFolder.find(options.run, options.runs_dir).facts()
+            domain = _domain_of(RunFolder.find(options.run, options.runs_dir))
         except RunFolderError:
             if verb not in WITH_RUN:  # the tuner may know it
                 raise
-            facts = {}
-        if facts.get("state") == "running":
-            return _domain(str(facts["domain_id"]))
+            domain = None
+        if domain is not None:
+            return surroundings(domain)
         if verb not in WITH_RUN:
             raise UsageError(f"the run '{options.run}' is not going on")
+    running = {}
+    for folder in RunFolder.all(options.runs_dir):
+        with contextlib.suppress(RunFolderError):  # one that cannot be read hides no other
+            running[folder.run_id] = _domain_of(folder)
+    running = {name: domain for name, domain in running.items() if domain is not None}
     given = own.get("ROS_DOMAIN_ID", "")
-    domains = {*running.values()} | ({given} if given else set())
+    domains = {*map(str, running.values())} | ({given} if given else set())
     if not domains:
         raise UsageError(
             f"no run is going on in '{options.runs_dir}', and ROS_DOMAIN_ID is not set: "
@@ -104,13 +107,15 @@ def _surroundings(
         found = [f"run '{name}' in ROS domain {number}" for name, number in running.items()]
         found += [f"ROS_DOMAIN_ID is {given}"] if given else []
         raise UsageError(f"several tuners are possible ({', '.join(found)}): give --domain-id")
-    return own if given else _domain(domains.pop())
+    return own if given else surroundings(int(domains.pop()))
 
 
-def _domain(number: str) -> dict[str, str]:
-    """Return the environment variables of programs in the domain of a run on this host."""
-    return {
-        "ROS_DOMAIN_ID": number,
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
-    }
+def _domain_of(folder: RunFolder) -> int | None:
+    """Return the ROS domain of a run that is going on; None if it is not.
+
+    Raises:
+        RunFolderError: If the folder cannot be read.
+    """
+    facts = folder.facts()
+    domain = facts.get("domain_id")
+    return domain if facts.get("state") == "running" and isinstance(domain, int) else None

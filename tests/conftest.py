@@ -17,6 +17,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from launcher.ros_domain import PROFILE
 from tests.support.processes import TIMEOUT, NodeProcess, NodeStarter
 from tests.support.tuner import CONFIG, GoalClient, Services, tune_client
 
@@ -50,6 +51,7 @@ def ros_domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]
         monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros_log"))
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+        monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
         yield domain
 
 

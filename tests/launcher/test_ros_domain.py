@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from xml.etree import ElementTree
 
 import pytest
 
@@ -16,6 +17,9 @@ def test_two_runs_get_two_domains() -> None:
         assert {first.id, second.id} <= set(range(1, 102))
         assert first.environment["ROS_DOMAIN_ID"] == str(first.id)
         assert first.environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+        profile = ElementTree.parse(first.environment["FASTRTPS_DEFAULT_PROFILES_FILE"])
+        [period] = profile.iterfind(".//{*}leaseAnnouncement")
+        assert [element.text for element in period] == ["0", "200000000"]
 
 
 def test_a_domain_is_free_again_after_use() -> None:

@@ -40,6 +40,9 @@ def test_the_one_run_that_is_going_on_is_found(project: FakeProject) -> None:
     assert status == 2
     assert "ROS_DOMAIN_ID" in errors
 
+    broken = project.root / "runs" / "broken"
+    broken.mkdir(parents=True)
+    (broken / "run.json").write_text("{")
     domain = begin(project, "one")
     status, output, _ = project.run("set", "variables.x.max=3", "a=[0, 1]")
     assert status == 0

@@ -38,7 +38,7 @@ def test_a_run_is_steered_from_another_terminal(start: Callable[..., Run]) -> No
     assert run.evaluations()[-1]["setpoint"] == {"x1": 0.5, "x2": -0.1}
     listed = mobo("points", "--top", "1", "--sort", "f1").splitlines()
     assert re.match(r"1 (of \d+ )?points of run run, measured", listed[0])
-    assert "going on" in mobo("go", listed[2].split()[0], status=1)
+    assert "run 'run'" in mobo("go", listed[2].split()[0], status=1)
     mobo("continue")
     run.until(lambda: len(run.evaluations()) > before + 3, "more evaluations")
     mobo("stop")
