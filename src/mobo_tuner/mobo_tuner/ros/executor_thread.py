@@ -20,8 +20,8 @@ T = TypeVar("T")
 class ExecutorThread:
     """The thread of an executor, as other threads use it.
 
-    rclpy loses goals and answers where its calls race with the executor (docs of rclpy do not say
-    so). Whoever blocks therefore stays on a thread of their own and has each call made here.
+    rclpy loses goals and answers when its calls race with the executor. A thread that blocks therefore
+    has each call made here, on the executor's own thread, and only waits for the result.
 
     Args:
         executor: Executor of the nodes that are used.
