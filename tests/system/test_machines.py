@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from launcher.ros_domain import RosDomain
+from launcher.supervisor import EXIT_LIMIT
 from tests.support.mobo_run import ROOT, TIMEOUT, Run
 
 FILES = {"bag", "config.yaml", "journal.jsonl", "log", "run.json", "summary.json"}
@@ -83,6 +85,13 @@ KINDS = {
 }
 
 
+def use_free_domain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Set the environment to a ROS domain that is free; a run takes it again."""
+    with RosDomain() as domain:
+        for variable, value in domain.environment.items():
+            monkeypatch.setenv(variable, value)
+
+
 @pytest.fixture
 def lab(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -98,9 +107,7 @@ def lab(
         mapping.write_bytes((ROOT / "config" / bridge["mapping"]).read_bytes())
     config = tmp_path / name
     config.write_text(yaml.safe_dump(content))
-    with RosDomain() as domain:  # the run takes it again
-        for variable, value in domain.environment.items():
-            monkeypatch.setenv(variable, value)
+    use_free_domain(monkeypatch)
     monkeypatch.chdir(ROOT)
     lab = Lab(config, options, elsewhere, node, tmp_path)
     yield lab
@@ -210,6 +217,37 @@ def test_ctrl_c_waits_until_the_machine_is_where_it_was(
     assert run.journal()[-1]["error_msg"].endswith("the machine went to the state before the run")
     assert facts_of(run)["state"] == "interrupted"
     run.assert_nothing_left()
+
+
+def test_a_second_ctrl_c_stops_a_machine_that_is_there_already(
+    slow_injector: Path, start: Callable[..., Run], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_free_domain(monkeypatch)
+    program = [sys.executable, "-m", "awa_sim_node.node", "--ros-args"]
+    machine = subprocess.Popen(
+        [*program, "--params-file", str(slow_injector)],
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "ROS_LOG_DIR": str(tmp_path)},
+    )
+    try:
+        content = yaml.safe_load(slow_injector.read_text())
+        del content["awa_sim"]
+        config = tmp_path / "external.yaml"
+        config.write_text(yaml.safe_dump(content))
+        run = start(config=str(config))
+        run.until(lambda: run.evaluations(), "an evaluation")
+        run.process.send_signal(signal.SIGINT)
+        log = run.folder / "log" / "tuner.log"
+        run.until(lambda: "goes to the state before the run" in log.read_text(), "the way back")
+        run.process.send_signal(signal.SIGINT)
+        sent = time.monotonic()
+        assert run.wait()[0] == 130
+        assert time.monotonic() - sent < EXIT_LIMIT
+        assert "the machine was stopped on its way" in run.journal()[-1]["error_msg"]
+        assert machine.poll() is None
+    finally:
+        machine.kill()
+        machine.wait(10.0)
 
 
 @contextmanager

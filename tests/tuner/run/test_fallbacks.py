@@ -77,6 +77,33 @@ def test_after_a_cancel_the_machine_goes_back_ramped_and_verified(
     assert journal(tmp_path, "canceled")[-1]["error_msg"] == result.error_msg
 
 
+def test_a_machine_on_its_way_back_is_stopped_by_skip(
+    start_tuner: Callable[..., NodeProcess],
+    start_machine: Callable[..., NodeProcess],
+    client: GoalClient,
+    services: Services,
+    node: Node,
+    spin_until: Callable[..., None],
+    position: Position,
+) -> None:
+    start_machine("speed:=5.0", "mode:=ideal", config="awa.yaml")
+    start_tuner("on_abort:=restore", config="awa.yaml")
+    statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
+    client.send(Tune.Goal(run_id="canceled", evaluations=50))
+    spin_until(lambda: moving(client, statuses), "a move", 60.0)
+    client.cancel()
+    spin_until(lambda: statuses.messages[-1].state == msg.TunerStatus.MOVING, "the way back")
+    assert "the state before the run" in statuses.messages[-1].message
+    answer = services.trigger("skip")
+    assert (answer.success, answer.message) == (True, "the machine stops where it is")
+    result = client.wait()
+    assert result.error_code == Tune.Result.CANCELED
+    assert "the machine was stopped on its way to the state before the run" in result.error_msg
+    stopped = position()
+    assert stopped != BEFORE
+    assert position() == stopped
+
+
 def test_a_stopped_tuner_leaves_in_time_and_the_machine_goes_back_by_itself(
     start_tuner: Callable[..., NodeProcess],
     start_machine: Callable[..., NodeProcess],

@@ -124,25 +124,23 @@ class MachineClient:
         setpoint: Sequence[msg.NamedValue],
         on_feedback: FeedbackCallback,
         *interrupts: Future,
-        cancel: bool = True,
+        leave: Future | None = None,
     ) -> Answer:
         """Have the machine go to a set-point, ramped and verified.
 
         Args:
-            setpoint: every variable once.
-            on_feedback: is told of feedback.
-            interrupts: when one of them is done, this returns.
-            cancel: whether the machine is stopped then; else it finishes the move by itself.
+            setpoint: Every variable once.
+            on_feedback: Function that gets the feedback.
+            interrupts: Futures; when one of them is done, the machine is stopped.
+            leave: Future; when it is done, this returns, and the machine finishes the move by itself.
 
         Raises:
-            MachineLostError: as in `evaluate`, or the machine does not offer it.
+            MachineLostError: As in `evaluate`, or if the machine does not offer it.
         """
         if not self._apply.server_is_ready():
             raise MachineLostError("the machine does not offer 'apply_setpoint'")
         goal = ApplySetpoint.Goal(setpoint=list(setpoint))
-        result = await self._carry_out(
-            self._apply, goal, "a move", on_feedback, interrupts, cancel=cancel
-        )
+        result = await self._carry_out(self._apply, goal, "a move", on_feedback, interrupts, leave)
         if result is None:
             return self._canceled()
         return Answer(
@@ -184,16 +182,17 @@ class MachineClient:
         what: str,
         on_feedback: FeedbackCallback,
         interrupts: Sequence[Future],
-        cancel: bool = True,
+        leave: Future | None = None,
     ) -> Any:
-        """The result of a goal; None when it was interrupted and the machine did not say more.
+        """Return the result of a goal; None if it was interrupted and the machine did not say more.
 
         Raises:
             MachineLostError: it refused the goal, fell silent or took too long.
         """
-        await self._let_go(LET_GO_TIMEOUT, *(interrupts if cancel else ()))
-        if cancel and _any_done(interrupts):
+        await self._let_go(LET_GO_TIMEOUT, *interrupts)
+        if _any_done(interrupts):
             return None
+        all_interrupts = interrupts if leave is None else (*interrupts, leave)
         patience = _Patience(self._silence_timeout, self._evaluation_timeout, what)
 
         def heard(message: Any) -> None:
@@ -203,15 +202,15 @@ class MachineClient:
 
         sent = client.send_goal_async(goal, feedback_callback=heard)
         try:
-            if not await self._answered(sent, patience, interrupts):
+            if not await self._answered(sent, patience, all_interrupts):
                 return None
             handle = sent.result()
             if not handle.accepted:
                 raise MachineLostError("the machine refused the goal without a reason")
             finished = handle.get_result_async()
             try:
-                if not await self._answered(finished, patience, interrupts):
-                    if not cancel:
+                if not await self._answered(finished, patience, all_interrupts):
+                    if not _any_done(interrupts):  # it is left
                         return None
                     handle.cancel_goal_async()
                     await first_of(self._node, finished, timeout=CANCEL_TIMEOUT)
@@ -226,7 +225,7 @@ class MachineClient:
             return finished.result().result
         finally:
             patience.over = True
-            if cancel and not sent.done():
+            if not sent.done() and (leave is None or _any_done(interrupts)):
                 # The goal may be accepted after all: whoever is told so must stop it.
                 self._stopped = self._cancel_late(sent)
 

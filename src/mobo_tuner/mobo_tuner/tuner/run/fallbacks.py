@@ -72,7 +72,7 @@ class Fallbacks:
         """Do what `on_abort` says for a run that did not end well.
 
         The machine must not be lost. While this process is ending, the machine finishes the move by
-        itself.
+        itself; a request to skip stops it where it is.
 
         Returns:
             What was done, in a few words; empty if nothing had to be done.
@@ -85,7 +85,8 @@ class Fallbacks:
         what = "the state before the run" if restoring else "the best point"
         setpoint = named_values(target, run.problem.units)
         context.log.info(f"run '{run.run_id}': the machine goes to {what}")
-        context.status.work(msg.TunerStatus.MOVING)
+        context.status.work(msg.TunerStatus.MOVING, f"the machine goes to {what}")
+        run.steering.begin_fallback()
         by_itself = f"the machine is going to {what} by itself"
         if context.stopping.done():
             accepted = await context.machine.send_off(setpoint, SEND_OFF_TIMEOUT)
@@ -96,12 +97,15 @@ class Fallbacks:
 
         try:
             answer = await context.machine.apply(
-                setpoint, on_feedback, context.stopping, cancel=False
+                setpoint, on_feedback, run.steering.skip, leave=context.stopping
             )
         except MachineLostError as error:
             return f"the machine did not go to {what}: {error}"
-        if answer.error_code == EvaluateSetpoint.Result.CANCELED and context.stopping.done():
-            return by_itself
+        if answer.error_code == EvaluateSetpoint.Result.CANCELED:
+            if run.steering.skip.done():
+                return f"the machine was stopped on its way to {what}"
+            if context.stopping.done():
+                return by_itself
         if answer.error_code != EvaluateSetpoint.Result.NONE:
             return f"the machine did not go to {what}: {answer.error_msg}"
         return f"the machine went to {what}"

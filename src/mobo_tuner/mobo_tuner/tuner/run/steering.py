@@ -32,6 +32,7 @@ class Steering:
         stopping: Whether it ends before the next evaluation.
         change: Change that takes effect before the next evaluation.
         queue: Set-points of operators, evaluated before the next suggestion.
+        falling_back: Whether the run is over and the machine is moved; a request to skip stops it.
     """
 
     paused: bool = False
@@ -39,6 +40,7 @@ class Steering:
     stopping: bool = False
     change: Change | None = None
     queue: deque[dict[str, float]] = field(default_factory=deque)
+    falling_back: bool = False
     _news: Future = field(default_factory=Future)
     _skip: Future = field(default_factory=Future)
 
@@ -91,6 +93,11 @@ class Steering:
     def forget_skip(self) -> None:
         """Note that an evaluation is over; a request to skip it does not apply to the next one."""
         self._skip = Future()
+
+    def begin_fallback(self) -> None:
+        """Note that the machine is moved after the run; earlier requests to skip do not stop it."""
+        self.falling_back = True
+        self.forget_skip()
 
 
 def check_bounds(problem: Problem, setpoint: Mapping[str, float]) -> None:
