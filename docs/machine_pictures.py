@@ -81,8 +81,10 @@ def draw_beamline() -> Figure:
     pipe = np.array([(gun_end, 25.0), (0.575, 25.0), (0.575, 50.0), (SCREEN, 50.0)])
     for sign in (-1.0, 1.0):
         sketch.plot(pipe[:, 0], sign * pipe[:, 1], color=PIPE, linewidth=1.2)
-    for z, radius, color in ((0.0, 25.0, RED), (SCREEN, 50.0, GREEN)):
-        sketch.plot([z, z], [-radius, radius], color=color, linewidth=4.0, solid_capstyle="butt")
+    for place, radius, color in ((0.0, 25.0, RED), (SCREEN, 50.0, GREEN)):
+        sketch.plot(
+            [place, place], [-radius, radius], color=color, linewidth=4.0, solid_capstyle="butt"
+        )
     sketch.plot([0.0, SCREEN], [0.0, 0.0], color="black", linewidth=0.6, dashes=(12, 4, 2, 4))
     sketch.text(-0.02, 0.0, "cathode", ha="right", va="center")
     sketch.text(SCREEN, -80.0, "screen", ha="center", va="center")
@@ -327,7 +329,8 @@ def draw_front(samples: int, evaluations: int, seed: int) -> Figure:
 def _sampled(samples: int, seed: int) -> FloatArray:
     """Return energy spread and emittance of random set-points that keep the beam, ``(n, 2)``."""
     rng = np.random.default_rng(seed)
-    values = _objectives(rng.uniform(*_LIMITS, (samples, len(_LIMITS[0]))))
+    low, high = _LIMITS
+    values = _objectives(rng.uniform(low, high, (samples, len(low))))
     return values[np.isfinite(values[:, 0])]
 
 
@@ -388,5 +391,6 @@ def _settings(setpoint: Mapping[str, float]) -> Settings:
 
 def _on_axis(field: FieldMap) -> tuple[FloatArray, FloatArray]:
     """Return positions [m] and the field along the beam on axis."""
-    values = np.asarray(field.values[0, :, 0])
-    return field.start + field.dz * np.arange(len(values)), values
+    values = np.asarray(field.values[0, :, 0], dtype=np.float64)
+    positions: FloatArray = field.start + field.dz * np.arange(len(values), dtype=np.float64)
+    return positions, values

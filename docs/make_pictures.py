@@ -143,9 +143,10 @@ def draw_toy(options: argparse.Namespace) -> Figure:
         GaussianProcess(settings, float(r)).fit(data.inputs, data.objectives[:, j])
         for j, r in enumerate(problem.reference_point)
     ]
-    alpha = UpperConfidenceBoundHypervolumeImprovement(
-        models, BoxDecomposition(problem.reference_point, data.objectives), optimizer.settings.beta
-    )
+    beta = optimizer.settings.beta
+    assert isinstance(beta, float)
+    boxes = BoxDecomposition(problem.reference_point, data.objectives)
+    alpha = UpperConfidenceBoundHypervolumeImprovement(models, boxes, beta)
     x, inputs = _grid(options.grid)
     truth = _toy_objectives(inputs)
     maps = [truth[:, 0], truth[:, 1], *(m.predict(inputs)[0] for m in models)]

@@ -10,6 +10,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable
+from functools import partial
 
 import rclpy
 from rclpy.node import Node
@@ -36,9 +37,11 @@ class Scan(Node):
         self.create_subscription(Float64, f"{DEVICE}/readback", self.keep_readback, 10)
         self.create_subscription(Bool, f"{DEVICE}/settled", self.keep_settled, LATCHED)
         for name in SEEN:
-            self.create_subscription(
-                Float64, f"beam/{name}", lambda m, name=name: self.shots[name].append(m.data), 100
-            )
+            self.create_subscription(Float64, f"beam/{name}", partial(self.keep_shot, name), 100)
+
+    def keep_shot(self, name: str, message: Float64) -> None:
+        """Keep a shot of a diagnostic."""
+        self.shots[name].append(message.data)
 
     def keep_readback(self, message: Float64) -> None:
         """Keep where the device is."""

@@ -76,7 +76,7 @@ def row(
     found = np.empty((seeds, len(locations)))
     for j, location in enumerate(locations):
         logarithm = float(np.log(location) + 0.5 * np.log(d))
-        kernels.typical_log_length_scale = lambda _, value=logarithm: value  # type: ignore[assignment, misc]
+        kernels.typical_log_length_scale = lambda _, value=logarithm: value  # type: ignore[misc]
         found[:, j] = [log_density(function, d, n, mean, seed) for seed in range(seeds)]
     # The residual without the means of seeds and locations is the spread of the differences.
     left = found - found.mean(axis=1, keepdims=True) - found.mean(axis=0) + found.mean()

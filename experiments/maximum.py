@@ -38,7 +38,9 @@ MAXIMIZERS: dict[str, Maximizer] = {"multi_start": MultiStart(), "particle_swarm
 def find(maximizer: Maximizer, optimizer: Optimizer, seed: int) -> tuple[float, float]:
     """Return the logarithm of the largest value found, and the CPU time [s]."""
     acquisition = optimizer._acquisition_function()
-    starts = optimizer.dataset.inputs[optimizer._front_rows()]
+    assert acquisition is not None, "the models must have been trained"
+    rows = [point["index"] for point in optimizer.pareto_front(measured=True)]
+    starts = optimizer.dataset.inputs[rows]
     started = time.process_time()
     found = maximizer.maximize(
         acquisition, starts.shape[1], np.random.default_rng(seed), starts=starts

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from experiments.problems import Benchmark, Run, awa, toy
 from experiments.run_cache import cached_run
 from experiments.toy import START
 
-PROBLEMS: dict[str, tuple[Callable[[], Benchmark], dict[str, object]]] = {
+PROBLEMS: dict[str, tuple[Callable[[], Benchmark], dict[str, Any]]] = {
     "toy": (toy, START),
     "awa": (awa, {}),
 }

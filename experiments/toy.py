@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from experiments.problems import Benchmark, Run, run, toy
 
-START: dict[str, object] = {"initial_evaluations": 5, "initial_design": "random"}
+START: dict[str, Any] = {"initial_evaluations": 5, "initial_design": "random"}
 
 
 def share(options: argparse.Namespace) -> None:
@@ -23,7 +24,7 @@ def share(options: argparse.Namespace) -> None:
     print(f"fraction of the true hypervolume by number of evaluations, {options.seeds} seeds")
     print("                " + "".join(f"{n:8d}" for n in at))
     curves = np.array([_run(toy(), 60, s, options).hypervolumes for s in range(options.seeds)])
-    rows = {"mean": np.mean, "std.dev.": np.std, "lowest": np.min}
+    rows: dict[str, Callable[..., Any]] = {"mean": np.mean, "std.dev.": np.std, "lowest": np.min}
     for name, function in rows.items():
         print(
             f"{options.preset:8s}{name:8s}"

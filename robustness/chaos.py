@@ -32,8 +32,8 @@ from experiments.problems import cached
 from mobo_msgs_py.action import Tune
 from mobo_tuner.core.focus import largest_box
 from mobo_tuner.core.problem import ProblemError
-from mobo_tuner.runs.history import History
-from mobo_tuner.runs.journal import JournalError, Record, read_journal
+from mobo_tuner.runs.history import History, told_of
+from mobo_tuner.runs.journal import JournalError, JsonRecord, read_journal
 from mobo_tuner.runs.optimizer_settings import make_optimizer
 from robustness.chaos_scene import CLIENT_TIMEOUT, ROOT, TIMEOUT, HangError, Scene
 from robustness.integrity import bag_faults, differing_suggestions, evaluations, has_journal
@@ -227,7 +227,7 @@ class Chaos:
             outcome.misplaced.append(f"the machine holds at {where}, not between {start} and {end}")
 
     def _judge_kept(
-        self, outcome: Outcome, records: list[Record], heard: list[Any], begun: set[bytes]
+        self, outcome: Outcome, records: list[JsonRecord], heard: list[Any], begun: set[bytes]
     ) -> None:
         """Count evaluations that were published, or begun by the machine, but are not in the journal.
 
@@ -241,7 +241,7 @@ class Chaos:
         outcome.lost += len(missing) + max(0, len(begun) - attempts - 1)
 
     def _places(
-        self, records: list[Record], policy: str, before: Mapping[str, float]
+        self, records: list[JsonRecord], policy: str, before: Mapping[str, float]
     ) -> list[Mapping[str, float]]:
         """Return the positions allowed by the policy; none if the machine holds."""
         told = evaluations(records)
@@ -316,7 +316,7 @@ class Chaos:
             outcome.corrupt += bag_faults(after / "bag", folder.parent, names, whole=names)
 
 
-def _differences(told: list[Record], resumed: list[Record]) -> list[str]:
+def _differences(told: list[JsonRecord], resumed: list[JsonRecord]) -> list[str]:
     """Return how a resumed run differs from an uninterrupted one."""
     faults = []
     if evaluations(resumed)[: len(told)] != told:
@@ -326,13 +326,13 @@ def _differences(told: list[Record], resumed: list[Record]) -> list[str]:
     return faults
 
 
-def _best(records: list[Record], count: int) -> Mapping[str, float] | None:
+def _best(records: list[JsonRecord], count: int) -> Mapping[str, float] | None:
     """Return the best point of the first `count` evaluations, or None."""
     history = History.from_records([records[0], *evaluations(records)[:count]])
     try:
         optimizer = make_optimizer(history.problem, history.settings)
         for step in history.evaluations:
-            optimizer.tell(step.setpoint, step.outputs)
+            optimizer.tell(*told_of(step, history.problem, history.model_input))
     except ProblemError as error:
         raise JournalError(str(error)) from None
     best = largest_box(history.problem, optimizer.pareto_front())

@@ -26,7 +26,8 @@ import numpy as np
 import yaml
 
 from awa_sim_node.describe import describe_file as describe_simulator
-from launcher.run_folder import RunFolder, RunFolderError
+from launcher.errors import RunFolderError
+from launcher.run_folder import RunFolder
 from mobo_tuner.bridge.describe import describe_file as describe_bridge
 from mobo_tuner.bridge.mapping import load_mapping
 from mobo_tuner.displays.configuration import explanation

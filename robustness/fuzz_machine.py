@@ -119,7 +119,7 @@ class Fuzzer:
             )
             for v in _VARIABLES
         ]
-        self._rng.shuffle(named)  # type: ignore[arg-type]
+        self._rng.shuffle(named)
         return named
 
     def _bad_point(self) -> tuple[str, list[msg.NamedValue]]:

@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 from rosbags.typesys import Stores, get_typestore
 
@@ -103,8 +104,8 @@ def readbacks(bag: Path, since: float, until: float) -> dict[str, list[float]]:
     for file in sorted(bag.glob("*.mcap")):
         for message in read_messages(file):
             if message.topic.endswith("/readback") and since < 1e-9 * message.time < until:
-                value = store.deserialize_cdr(message.data, "std_msgs/msg/Float64").data
-                found.setdefault(message.topic, []).append(value)
+                content: Any = store.deserialize_cdr(message.data, "std_msgs/msg/Float64")
+                found.setdefault(message.topic, []).append(content.data)
     return found
 
 

@@ -149,7 +149,7 @@ def private_uses(tree: ast.AST) -> list[str]:
     own: dict[ast.AST, set[str]] = {}  # private names that the class around a node defines
     for outer in ast.walk(tree):
         if isinstance(outer, ast.ClassDef):
-            names = {n.attr for n in ast.walk(outer) if _is_own_attribute(n)}
+            names = {_own_attribute(n) for n in ast.walk(outer)} - {""}
             names |= {n.name for n in outer.body if isinstance(n, ast.FunctionDef)}
             names |= {n.name for n in outer.body if isinstance(n, ast.AsyncFunctionDef)}
             for inner in ast.walk(outer):
@@ -163,19 +163,22 @@ def private_uses(tree: ast.AST) -> list[str]:
         elif (
             isinstance(node, ast.Attribute)
             and is_private(node.attr)
-            and not _is_own_attribute(node)
+            and not _own_attribute(node)
             and node.attr not in own.get(node, set())
         ):
             found.append(ast.unparse(node))
     return found
 
 
-def _is_own_attribute(node: ast.AST) -> bool:
-    return (
+def _own_attribute(node: ast.AST) -> str:
+    """Name of an attribute of `self` or `cls`; empty for anything else."""
+    if (
         isinstance(node, ast.Attribute)
         and isinstance(node.value, ast.Name)
         and node.value.id in ("self", "cls")
-    )
+    ):
+        return node.attr
+    return ""
 
 
 def test_private_names_stay_in_their_module_and_class() -> None:

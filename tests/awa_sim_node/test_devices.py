@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -171,7 +172,7 @@ def test_a_bad_moment_ends_an_evaluation_with_an_error(
     start_node: NodeStarter,
     node: Node,
     spin_until: Callable[..., None],
-    parameters: dict[str, float],
+    parameters: dict[str, Any],
     parts: tuple[str, ...],
 ) -> None:
     start_machine(start_node, mode="ideal", speed=1000.0, trip_patience=0.0, **parameters)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import signal
 from collections.abc import Callable
+from typing import Any
 
 from lifecycle_msgs.srv import GetState
 from rclpy.node import Node
@@ -29,7 +30,7 @@ from tests.support.tuner import machine_client
 RESULT = EvaluateSetpoint.Result
 POINT = {"x1": 1.0, "x2": -1.0}
 # A measurement of the toy problem that takes ten seconds of wall time.
-SLOW = {"model": "toy", "mode": "ideal", "speed": 1.0, "beam_repetition_rate": 10.0}
+SLOW: dict[str, Any] = {"model": "toy", "mode": "ideal", "speed": 1.0, "beam_repetition_rate": 10.0}
 
 
 def test_each_state_allows_what_it_should(

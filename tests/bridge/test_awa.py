@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rclpy.node import Node
@@ -32,9 +33,7 @@ def values(named: object) -> dict[str, float]:
 class Injector:
     """The injector in its namespace, the bridge beside it, and a client of the bridge."""
 
-    def __init__(
-        self, start_node: NodeStarter, node: Node, spin_until: Spin, **more: float
-    ) -> None:
+    def __init__(self, start_node: NodeStarter, node: Node, spin_until: Spin, **more: Any) -> None:
         self.machine = start_machine(
             start_node, namespace="/injector", speed=100.0, stream_rate=50.0, **more
         )

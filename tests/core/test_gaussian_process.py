@@ -56,7 +56,7 @@ def test_full_precision_matrix_is_a_rotated_anisotropic_kernel():
     precision = turn @ np.diag([4.0, 0.5]) @ turn.T
     full = GaussianProcess(
         GaussianProcessSettings(
-            kernel="rbf_full", precision=tuple(map(tuple, precision)), variance=20.0, noise=0.1
+            kernel="rbf_full", precision=tuple(precision.ravel().tolist()), variance=20.0, noise=0.1
         )
     ).fit(x, y)
     plain = GaussianProcess(

@@ -63,9 +63,9 @@ def test_plain_data_and_back(choice: dict[str, Any]) -> None:
 
 
 def test_numbers_and_arrays_of_numpy_become_plain() -> None:
-    settings = GaussianProcessSettings(
-        kernel="rbf_full", precision=np.diag([1, 2]), variance=np.float32(2.0), restarts=np.int64(3)
-    )
+    choices: dict[str, Any] = {"precision": np.diag([1, 2]), "variance": np.float32(2.0)}
+    choices["restarts"] = np.int64(3)
+    settings = GaussianProcessSettings(kernel="rbf_full", **choices)
     assert settings.precision == (1.0, 0.0, 0.0, 2.0)
     assert settings.variance == 2.0
     assert type(settings.restarts) is int

@@ -84,7 +84,8 @@ def test_the_first_setpoints_are_a_latin_hypercube() -> None:
     cells = np.floor((points + 1.0) * 4.0)
     assert all(sorted(column) == list(range(8)) for column in cells.T)
     optimizer.ask()
-    assert optimizer.last_source == "model"
+    source: str = optimizer.last_source
+    assert source == "model"
 
 
 def test_asking_twice_gives_the_same_answer() -> None:

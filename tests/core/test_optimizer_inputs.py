@@ -182,7 +182,8 @@ def test_a_damaged_state_is_refused_or_goes_on() -> None:
     whole = json.dumps(told.get_state())
     refused = 0
     for path in [p for p in _paths(json.loads(whole)) if "settings" not in p[:-1]]:
-        for damage in (None, "text", -1, [], {}, 1e300):
+        damages: tuple[Any, ...] = (None, "text", -1, [], {}, 1e300)
+        for damage in damages:
             state = json.loads(whole)
             part = state
             for key in path[:-1]:

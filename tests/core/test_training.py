@@ -1,5 +1,6 @@
 import time
 import warnings
+from typing import Any
 
 import numpy as np
 import pytest
@@ -126,7 +127,7 @@ def test_held_parameters_of_the_settings():
     np.testing.assert_allclose(np.exp(held), [0.5, 0.5, 2.0, 1e-9])
 
     settings = GaussianProcessSettings(kernel="rbf_full", length_scales=(0.5, 2.0))
-    kernel = KERNELS.find("rbf_full")(2)
+    kernel: Any = KERNELS.find("rbf_full")(2)
     held, free = held_parameters(settings, kernel, scale=1.0)
     np.testing.assert_allclose(kernel.precision(held[:-2]), np.diag([4.0, 0.25]), atol=1e-12)
     assert free.tolist() == [False] * 5 + [True] * 2
@@ -137,7 +138,7 @@ def test_held_parameters_of_the_settings():
     [
         (GaussianProcessSettings(length_scales=(1.0, 2.0)), "length_scales must be one number"),
         (
-            GaussianProcessSettings(kernel="rbf_full", precision=((1.0, 0.0), (0.0, 1.0))),
+            GaussianProcessSettings(kernel="rbf_full", precision=(1.0, 0.0, 0.0, 1.0)),
             "precision must be a 3 by 3",
         ),
     ],

@@ -56,6 +56,7 @@ def test_agrees_with_scikit_learn_on_what_is_likely():
     x, valid, rng = _data(60)
     new = rng.uniform(-1, 1, (200, 2))
     ours = ValidityModel().fit(x, valid)
+    assert ours._parameters is not None
     shape = ConstantKernel(float(np.exp(ours._parameters[-1]))) * Matern(
         np.exp(ours._parameters[:-1]), nu=2.5
     )

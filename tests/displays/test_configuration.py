@@ -31,7 +31,7 @@ PROBLEM = {
 
 def explained(problem: dict[str, Any] = PROBLEM, **changes: Any) -> str:
     tuner = check_tuner(changes.pop("tuner", {}))
-    facts = {"section": "awa_sim", "machine": MACHINE, "program": ""} | changes
+    facts: dict[str, Any] = {"section": "awa_sim", "machine": MACHINE, "program": ""} | changes
     return "\n".join(
         explanation(Configuration("my.yaml", Problem.from_dict(problem), tuner, **facts))
     )

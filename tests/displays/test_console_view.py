@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from rich.console import Console
@@ -56,7 +57,7 @@ def shown(progress: RunProgress, stage: str = "") -> str:
         ),
     ],
 )
-def test_a_line_counts_from_0_as_the_tuner_does(change: dict[str, object], end: str) -> None:
+def test_a_line_counts_from_0_as_the_tuner_does(change: dict[str, Any], end: str) -> None:
     line = evaluation_line(replace(EVALUATION, **change), 60)
     assert line.startswith("evaluation 31, 32 of 60 done: hypervolume 1234.5, eps_x 32.5 mm mrad")
     assert line.endswith(end)

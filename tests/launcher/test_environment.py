@@ -20,10 +20,10 @@ from launcher.environment import (
     DEVELOPMENT_STAGES,
     STAGES,
     Environment,
-    SetupError,
     Stage,
     clean_environment,
 )
+from launcher.errors import SetupError
 from launcher.processes import Processes
 from tests.support.fake_project import ROOT, TIMEOUT, wait_until
 

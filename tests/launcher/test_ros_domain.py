@@ -8,7 +8,8 @@ from xml.etree import ElementTree
 import pytest
 
 from launcher import ros_domain
-from launcher.ros_domain import DomainError, RosDomain
+from launcher.errors import DomainError
+from launcher.ros_domain import RosDomain
 
 
 def test_two_runs_get_two_domains() -> None:

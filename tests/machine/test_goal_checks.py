@@ -106,7 +106,7 @@ LONG = "x" * 100_000
 @pytest.mark.parametrize(
     "fields",
     [
-        {"setpoint": point(K1=1.0, phi=0.0, **{LONG: 0.0})},
+        {"setpoint": [*point(K1=1.0, phi=0.0), msg.NamedValue(name=LONG)]},
         {"setpoint": point(LONG, K1=1.0, phi=0.0)},
         {"critical": [msg.Constraint(name=LONG, max=1.0)]},
         {"critical": [msg.Constraint(name=LONG, max=1.0)] * 2},

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import yaml
 
+from mobo_tuner.displays.configuration import Configuration
 from mobo_tuner.errors import UserError
 from mobo_tuner.files import load_yaml
 from mobo_tuner.machine.description import DescriptionError, MachineDescription, VariableLimits
@@ -30,7 +31,7 @@ MODULES = {"awa_sim": "awa_sim_node.describe", "machine_bridge": "mobo_tuner.bri
 MACHINES = {section: describe_by(module) for section, module in MODULES.items()}
 
 
-def check(path: Path, **options: Any) -> check_config.Configuration:
+def check(path: Path, **options: Any) -> Configuration:
     return check_config.check(path, MACHINES, **options)
 
 

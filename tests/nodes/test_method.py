@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -20,7 +21,7 @@ from mobo_tuner.runs.replay import compare
 from tests.support.processes import NodeProcess, NodeStarter
 from tests.support.tuner import CONFIG, GoalClient, Services, toy_machine, toy_values
 
-CHOSEN = {
+CHOSEN: dict[str, Any] = {
     "initial_evaluations": 4,
     "acquisition": "ucb_hvi",
     "beta": 0.5,

@@ -196,7 +196,8 @@ def test_the_bag_tells_types_hashes_and_offered_qos(
     store = get_typestore(Stores.EMPTY)
     with AnyReader([recording.bag], default_typestore=store) as reader:
         connections = {connection.topic: connection for connection in reader.connections}
-        offered = {t: c.ext.offered_qos_profiles for t, c in connections.items()}
+        extensions: dict[str, Any] = {t: c.ext for t, c in connections.items()}
+        offered = {t: e.offered_qos_profiles for t, e in extensions.items()}
         definitions = {t: c.msgdef.data for t, c in connections.items()}
         for connection in connections.values():
             assert connection.digest == reader.typestore.hash_rihs01(connection.msgtype)

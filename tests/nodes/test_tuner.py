@@ -135,6 +135,7 @@ def test_a_cancel_is_answered_soon_in_any_phase(
     heard = len(beats.messages)
     spin_until(lambda: len(beats.messages) >= heard + 2, "two heartbeats in this phase")
     assert statuses.messages[-1].state == state
+    assert client.result is not None
     assert not client.result.done()
     started = time.monotonic()
     client.cancel()

@@ -31,8 +31,9 @@ class Served:
     async def execute(self, goal: Goal) -> ApplySetpoint.Result:
         self.goals.append(goal)
         self.ends.append(Future())
-        goal.on_cancel(lambda end=self.ends[-1]: end.set_result(CODES(error_code=CODES.CANCELED)))
-        return await self.ends[-1]
+        end = self.ends[-1]
+        goal.on_cancel(lambda: end.set_result(CODES(error_code=CODES.CANCELED)))
+        return await end
 
     def send(self) -> int:
         """Send a goal; its number once it is being served."""

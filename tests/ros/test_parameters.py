@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import NoneType
@@ -126,9 +126,10 @@ def test_what_is_dumped_can_be_loaded(ros_domain: int, tmp_path: Path) -> None:
     with node_with(ros_domain, "--ros-args", "--params-file", given) as node:
         values = declare(node, SPECS)
         # As `ros2 param dump` writes it: null for what is not set.
+        declared: Mapping[str, Any] = node.get_parameters_by_prefix("")
         dump = {
             name: list(p.value) if hasattr(p.value, "tolist") else p.value
-            for name, p in node.get_parameters_by_prefix("").items()
+            for name, p in declared.items()
         }
     assert dump["scales"] is None
     dumped = written(tmp_path / "dump.yaml", dump)

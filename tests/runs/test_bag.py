@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -113,8 +114,10 @@ def test_the_metadata_are_those_that_rosbags_writes(tmp_path: Path) -> None:
     """
     found = {}
     for name, kind in (("ours", BagWriter), ("plain", Writer)):
-        options = {} if kind is BagWriter else {"version": 9, "storage_plugin": StoragePlugin.MCAP}
-        bag = kind(tmp_path / name / "bag", **options)
+        options: Any = (
+            {} if kind is BagWriter else {"version": 9, "storage_plugin": StoragePlugin.MCAP}
+        )
+        bag: Any = kind(tmp_path / name / "bag", **options)
         (tmp_path / name).mkdir()
         bag.open()
         text = connect(bag)

@@ -68,7 +68,7 @@ def test_every_message_is_read_as_it_was_written(
     folder: Path, messages: Sent, compression: CompressionType, chunk_size: int, chunked: bool
 ) -> None:
     found = read(folder, written(messages, compression, chunk_size, chunked))
-    assert found == [Message(topic, SCHEMAS[topic], *rest) for topic, *rest in messages]
+    assert found == [Message(topic, SCHEMAS[topic], time, data) for topic, time, data in messages]
 
 
 @pytest.mark.parametrize("chunked", [True, False])

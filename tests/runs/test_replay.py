@@ -14,6 +14,7 @@ from mobo_tuner.core import ProblemError
 from mobo_tuner.runs import replay
 from mobo_tuner.runs.history import READBACK, History
 from mobo_tuner.runs.journal import FILE_NAME, JournalError, read_journal
+from mobo_tuner.runs.optimizer_settings import make_optimizer
 from mobo_tuner.runs.records import QueuedRecord
 from mobo_tuner.runs.saved_state import FILE_NAME as STATE_NAME
 from mobo_tuner.runs.saved_state import SavedState
@@ -213,6 +214,6 @@ def test_settings_that_cannot_be_right_are_refused(tmp_path: Path) -> None:
         ({"preset": "default", "seed": 1, "weights": [1.0]}, "weights is"),
     ):
         with pytest.raises(ProblemError, match=sentence):
-            replay.make_optimizer(history.problem, settings)
+            make_optimizer(history.problem, settings)
     with pytest.raises(ProblemError, match="preset is 'none'"):
-        replay.make_optimizer(history.problem, {**history.settings, "preset": "none"})
+        make_optimizer(history.problem, {**history.settings, "preset": "none"})

@@ -28,6 +28,7 @@ from mobo_tuner.runs.report.figures import (
     product_of_units,
     staircase,
 )
+from mobo_tuner.runs.report.summary import choose_points
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -227,7 +228,7 @@ def test_the_front_of_two_has_the_right_names_units_and_steps(mixed: Path) -> No
     axes = figure.axes[0]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("f1 [mm]", "f2")
     steps = next(line for line in axes.lines if line.get_label() == "front")
-    assert steps.get_xydata().tolist() == [
+    assert np.asarray(steps.get_xydata()).tolist() == [
         [2.0, 10.0], [2.0, 8.0], [5.0, 8.0], [5.0, 5.0], [8.0, 5.0], [8.0, 2.0], [10.0, 2.0]
     ]  # fmt: skip
 
@@ -270,7 +271,7 @@ def test_the_hypervolume_is_shown_with_failures_and_the_product_of_units(mixed: 
     axes = hypervolume_figure(RecordedRun.from_records(read_journal(mixed))).axes[0]
     assert axes.get_ylabel() == "hypervolume [mm]"
     (line,) = axes.lines
-    assert line.get_ydata().tolist() == [10.0 * i for i in range(8)]
+    assert np.asarray(line.get_ydata()).tolist() == [10.0 * i for i in range(8)]
     labels = axes.get_legend_handles_labels()[1]
     assert {"initial design", "failed", "infeasible"} <= set(labels)
 
@@ -339,7 +340,7 @@ def test_the_most_balanced_point_comes_first(tmp_path: Path) -> None:
         tmp_path, [evaluation(i, {"f1": a, "f2": b}) for i, (a, b) in enumerate(values)]
     )
     run = RecordedRun.from_records(read_journal(folder))
-    balanced, extremes = report.choose_points(run, 3)
+    balanced, extremes = choose_points(run, 3)
     assert balanced.tolist() == [2]
     assert extremes.tolist() == [0, 1]
 

@@ -102,7 +102,7 @@ class Services:
         self._spin_until = spin_until
         self._of = of
 
-    def call(self, kind: type, name: str, request: Any = None, timeout: float = 30.0) -> Any:
+    def call(self, kind: Any, name: str, request: Any = None, timeout: float = 30.0) -> Any:
         """The response of one call."""
         client = self._node.create_client(kind, name)
         probe = self._node.create_client(GetParameterTypes, f"{self._of}/get_parameter_types")

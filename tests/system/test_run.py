@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rosbags.highlevel import AnyReader
@@ -51,7 +52,8 @@ def test_a_run_leaves_a_summary_pictures_a_journal_and_a_bag(start: Callable[...
     assert [o.name for o in problem.objectives] == ["f1", "f2"]
     with AnyReader([run.folder / "bag"]) as reader:
         [latched] = [c for c in reader.connections if c.topic == "/problem"]
-        [profile] = latched.ext.offered_qos_profiles
+        extension: Any = latched.ext
+        [profile] = extension.offered_qos_profiles
         assert profile.durability.name == "TRANSIENT_LOCAL"
         assert profile.reliability.name == "RELIABLE"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import pytest
@@ -50,9 +50,10 @@ def start(context: Context) -> Iterator[Start]:
 def test_what_is_dumped_makes_the_same_problem(start: Start) -> None:
     first = start(GIVEN)
     problem = ProblemParameters(first).problem
+    declared: Mapping[str, Any] = first.get_parameters_by_prefix("")
     dump = {
         name: "null" if parameter.value is None else parameter.value
-        for name, parameter in first.get_parameters_by_prefix("").items()
+        for name, parameter in declared.items()
         if name.split(".")[0] in ("variables", "objectives", "constraints")
     }
     assert dump["constraints.g.min"] == "null"

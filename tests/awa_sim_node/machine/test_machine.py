@@ -234,7 +234,7 @@ def test_a_bad_set_point_moves_nothing(
     awa: Model, change: Mapping[str, float | None], message: str
 ) -> None:
     machine = SimulatedMachine(awa, "ideal")
-    setpoint = {name: value for name, value in (FAR | change).items() if value is not None}
+    setpoint = {name: value for name, value in {**FAR, **change}.items() if value is not None}
     with pytest.raises(ValueError, match=message):
         machine.move(setpoint)
     with pytest.raises(ValueError, match=message):

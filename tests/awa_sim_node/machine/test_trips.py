@@ -43,7 +43,7 @@ def test_trips_are_a_poisson_process_with_the_rate_of_the_gradient(gradient: flo
 
 def test_a_trip_lasts_from_the_shortest_to_the_longest_recovery() -> None:
     trips = Trips(PARAMETERS, 75.0, np.random.default_rng(0))
-    times = []
+    times: list[float] = []
     while len(times) < 500:
         if trips.tripped:
             times.append(trips.time_to_next_event)

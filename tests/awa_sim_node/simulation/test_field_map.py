@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -22,7 +24,8 @@ def wave() -> FieldMap:
 
 
 def slopes(wave: FieldMap, component: int) -> tuple[np.ndarray, np.ndarray]:
-    d_r, d_z = np.gradient(wave.values[:, :, component], wave.dr, wave.dz, edge_order=2)
+    slopes: Any = np.gradient(wave.values[:, :, component], wave.dr, wave.dz, edge_order=2)
+    d_r, d_z = slopes
     return d_r, d_z
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, astuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -157,7 +158,7 @@ def test_forty_nanocoulombs_behind_the_gun(middle: list[Moments]) -> None:
 def test_the_scan_of_the_matching_solenoid(G1: float, expected: dict[float, float]) -> None:  # noqa: N803
     # The other settings of the prototype's scan are not on record: these are the round ones that
     # reproduce it. Within 5 %, and 8 % behind the waist, where half a per cent of K2 is as much.
-    settings = {"K1": 500.0, "phi1": 0.0, "phi2": 0.0, "G1": G1, "G2": 30.0}
+    settings: Any = {"K1": 500.0, "phi1": 0.0, "phi2": 0.0, "G1": G1, "G2": 30.0}
     for current, size in expected.items():
         (beam,) = coarse(SCREEN, K2=current, **settings)
         assert beam.sigma_x == pytest.approx(size, rel=0.08 if size == 4.4 else 0.05)

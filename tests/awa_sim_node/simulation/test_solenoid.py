@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,8 +28,9 @@ def test_the_field_has_neither_sources_nor_currents(field: FieldMap) -> None:
     # Within 1 % of the largest slope, which is what differences of the map's grid can show.
     b_z, b_r = field.values[:11, :, 0], field.values[:11, :, 1]  # up to 26 mm
     r = field.dr * np.arange(1, len(b_z))[:, None]
-    z_r, z_z = np.gradient(b_z, field.dr, field.dz, edge_order=2)
-    r_r, r_z = np.gradient(b_r, field.dr, field.dz, edge_order=2)
+    z_slopes: Any = np.gradient(b_z, field.dr, field.dz, edge_order=2)
+    r_slopes: Any = np.gradient(b_r, field.dr, field.dz, edge_order=2)
+    (z_r, z_z), (r_r, r_z) = z_slopes, r_slopes
     middle = (slice(1, -1), slice(1, -1))
     divergence = r_r[1:] + b_r[1:] / r + z_z[1:]
     assert np.abs(divergence[:-1, 1:-1]).max() < 0.01 * np.abs(z_z).max()

@@ -11,6 +11,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from awa_sim_node.simulation.bunch import LOST, WAITING, Bunch, FloatArray
 from awa_sim_node.simulation.constants import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
@@ -46,7 +47,7 @@ def nodes(field: BunchField) -> tuple[FloatArray, FloatArray, FloatArray]:
     return x, y, z
 
 
-def inner(field: BunchField) -> FloatArray:
+def inner(field: BunchField) -> NDArray[np.bool_]:
     """Which nodes have neighbours on all sides, for a central difference."""
     whole = np.zeros(field.values.shape[:3], dtype=bool)
     whole[1:-1, 1:-1, 1:-1] = True

@@ -212,8 +212,12 @@ def test_one_violating_shot_ends_the_evaluation_and_pauses_the_run(
     before = position()
     client.send(Tune.Goal(run_id="violating", evaluations=6))
     violations = 0
-    while client.result is None or not client.result.done():
-        spin_until(lambda: paused() or client.result.done(), "a violation or the end")
+
+    def ended() -> bool:
+        return client.result is not None and client.result.done()
+
+    while not ended():
+        spin_until(lambda: paused() or ended(), "a violation or the end")
         if paused():
             violations += 1
             assert position() == pytest.approx(before)

@@ -238,6 +238,7 @@ def test_goals_that_cannot_be_served_and_a_cancel_on_the_way(
 
     mover.send(Goal(choice=Goal.BY_INDEX, index=point.index, hold_evaluations=3))
     spin_until(lambda: "-hold-" in statuses.messages[-1].run_id, "the holding", 60.0)
+    assert mover.result is not None
     assert not mover.result.done()
     mover.cancel()
     assert mover.wait().error_code == CODES.CANCELED
