@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from launcher.programs import NodeProgram
+from launcher.ros_domain import RosDomain
 from launcher.run_folder import process_start
 from launcher.supervisor import EXIT_LIMIT
 from tests.support.fake_project import ROOT, TIMEOUT, FakeProject, wait_until
@@ -228,26 +229,23 @@ def test_a_file_without_the_section_of_the_machine_is_not_resumed(project: FakeP
     assert not (project.root / "runs" / "mine-2").exists()
 
 
-@pytest.mark.parametrize(
-    ("options", "environment", "domain", "why"),
-    [
-        (["--domain-id", "61"], {"ROS_DOMAIN_ID": "62"}, 61, "--domain-id"),
-        ([], {"ROS_DOMAIN_ID": "62"}, 62, "ROS_DOMAIN_ID"),
-        ([], {"ROS_DOMAIN_ID": ""}, 0, "ROS_DOMAIN_ID is not set"),
-    ],
-)
+@pytest.mark.parametrize("way", ["--domain-id", "ROS_DOMAIN_ID"])
 def test_a_machine_that_is_there_already_is_met_in_its_domain(
-    project: FakeProject, options: list[str], environment: dict[str, str], domain: int, why: str
+    project: FakeProject, way: str
 ) -> None:
+    with RosDomain() as free, RosDomain() as other:
+        domain = free.id
+    options = ["--domain-id", str(domain)] if way == "--domain-id" else []
+    variables = {"ROS_DOMAIN_ID": str(other.id if options else domain)}
     words = ("run", *options, "--run-id", "mine")
-    status, output, errors = project.run(*words, variables=environment, check_config="external")
+    status, output, errors = project.run(*words, variables=variables, check_config="external")
     assert (status, errors) == (0, "")
-    assert f"ROS domain {domain} ({why})" in output.splitlines()[0]
+    assert f"ROS domain {domain} ({way})" in output.splitlines()[0]
     facts = facts_of(output)
     assert (facts["domain_id"], facts["machine"]) == (domain, {"external": True})
     assert not any(event.startswith("machine") for event in project.events)
     # It is looked for in the same domain when the run is resumed.
-    variables = {"ROS_DOMAIN_ID": "63"}
+    variables = {"ROS_DOMAIN_ID": str(other.id)}
     status, output, _ = project.run("resume", "mine", variables=variables, check_config="external")
     assert (status, facts_of(output)["domain_id"]) == (0, domain)
 
