@@ -27,7 +27,7 @@ _MOST_TRAINED = 250  # of these, for the hyperparameters, where there are more e
 _SECONDS_OF_ALL = 0.5  # time budget of a suggestion from which on models learn from as many
 _TRAINING_SHARE = 0.4  # of the time budget
 _NEWS = 1e-3  # of the readings' spread
-_NEWS_OF_NOISE = 0.3  # of the noise: about that of ten readings' average
+_NEWS_OF_NOISE = 0.4  # of the noise: about that of six readings' average
 
 PriorMean = Callable[[Mapping[str, Array]], Array]
 """Predicts one quantity in its own unit, shape ``(n,)``, from one array ``(n,)`` per variable."""
@@ -141,13 +141,15 @@ class Models:
         """Models of the minimised objectives, in the problem's order."""
         return [self._processes[name] for name in self._problem.objective_names]
 
-    def expects_news(self, x: Array, nearest: Array, noisy: bool) -> bool:
+    def expects_news(self, x: Array, nearest: Array) -> bool:
         """Return whether some output may read differently at x than at a measured point.
+
+        The news may be a better average, where there is noise: as long as it is not that of several
+        readings already.
 
         Args:
             x: Point ``(d,)``.
             nearest: Measured point ``(d,)`` near it.
-            noisy: Whether the noise is real: then news are also a better average.
         """
         for process in self._processes.values():
             if not process.n:
@@ -156,7 +158,7 @@ class Models:
             least = _NEWS * process.spread
             if abs(mean[0] - mean[1]) > least:
                 return True
-            if stddev[0] > (max(least, _NEWS_OF_NOISE * process.noise_at(x)) if noisy else least):
+            if stddev[0] > max(least, _NEWS_OF_NOISE * process.noise_at(x)):
                 return True
         return False
 

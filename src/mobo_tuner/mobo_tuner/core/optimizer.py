@@ -635,10 +635,9 @@ class Optimizer:
         again = bool(used.contains(x[None])[0])
         if not again and distances[nearest] > _NEAR:
             return True
-        noisy = self._is_noisy()
-        if again and not noisy:
+        if again and not self._is_noisy():
             return False
-        return self._models.expects_news(x, known[nearest], noisy)
+        return self._models.expects_news(x, known[nearest])
 
     def _is_noisy(self) -> bool:
         """Return whether the readings are known to be noisy: by what was told, or by repetitions."""
