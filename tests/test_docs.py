@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+INTERFACES = sorted((ROOT / "src" / "mobo_msgs_py").glob("[ams]*/*.[ams]*"))
 DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
 
 
@@ -29,3 +30,15 @@ def test_relative_links_lead_somewhere(path: Path) -> None:
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", path.read_text(encoding="utf-8")):
         if "://" not in target:
             assert (path.parent / target).exists(), f"{path.name} links to {target}"
+
+
+@pytest.mark.parametrize("path", INTERFACES, ids=lambda path: path.name)
+def test_every_field_and_constant_is_described_and_every_number_has_its_unit(path: Path) -> None:
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert lines[0].startswith("# ")
+    for line in lines:
+        declaration, _, description = (part.strip() for part in line.partition("#"))
+        if declaration and declaration != "---":
+            assert description.endswith("."), f"{line} has no description"
+            if declaration.startswith("float"):
+                assert re.search(r"\[.+\]", description), f"{line} has no unit"

@@ -128,7 +128,7 @@ def test_conditions_hold_when_equal_or_within_limits() -> None:
         ("diagnostics.f1.outliers", {"mad": 3, "sigma": 3}, "one of the keys mad, sigma; it has"),
         ("diagnostics.f1.average", {"count": 3}, "with measure.fire the shots are measure.shots"),
         ("diagnostics.x1", FOREIGN["diagnostics"]["f1"], "x1 is a variable and a diagnostic"),
-        ("measure.shots", 2.5, "measure.shots is 2.5; it must be a whole number from 1 to 10000"),
+        ("measure.shots", 2.5, "measure.shots is 2.5; it must be an integer from 1 to 10000"),
         ("measure.fire.success", "", "measure.fire.success is ''; it must be a text"),
         ("move.if_moved", "jump", "move.if_moved is 'jump'; it must be one of refuse, follow"),
         ("move.rate", 1e9, "move.rate is 1000000000.0; it must be a number above 0 and at most"),

@@ -11,7 +11,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from mobo_tuner.core import Problem, ProblemError
-from mobo_tuner.tuner.problem_parameters import ProblemParameters
+from mobo_tuner.core.problem import SECTIONS
+from mobo_tuner.tuner.problem_parameters import QUANTITY_PARAMETERS, ProblemParameters
 
 GIVEN: dict[str, Any] = {
     "variables.x.min": 0.0,
@@ -73,3 +74,17 @@ def test_null_unsets_what_is_optional(start: Start) -> None:
         with pytest.raises(ProblemError, match=name.split(".")[-1]):
             parameters.with_changes({name: value})
     assert isinstance(parameters.problem, Problem)
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_the_table_of_parameters_is_what_a_problem_accepts(section: str) -> None:
+    problem: dict[str, Any] = {
+        "variables": {"x": {"min": 0.0, "max": 1.0}},
+        "objectives": {"f": {"reference": 1.0}},
+    }
+    problem.setdefault(section, {})["q"] = {"unknown": 1.0}
+    with pytest.raises(ProblemError) as error:
+        Problem.from_dict(problem)
+    accepted = str(error.value).split("allowed are ")[1].split(", ")
+    documented = [p.leaf for p in QUANTITY_PARAMETERS if p.section == section]
+    assert sorted(documented) == sorted(accepted)

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from rclpy.node import Node
 from std_msgs.msg import Float64, Header
 
+from awa_sim_node import interfaces
 from awa_sim_node.machine import ModelDescription, Shot
 from mobo_msgs_py import msg
 from mobo_tuner.ros.conversions import named_values
-from mobo_tuner.ros.qos import LATCHED, STREAM
 
 
 class BeamTopics:
@@ -27,13 +27,11 @@ class BeamTopics:
         self._units = {v.name: v.unit for v in description.variables}
         self._units |= {d.name: d.unit for d in description.diagnostics}
         self._shots = {
-            diagnostic.name: node.create_publisher(Float64, f"beam/{diagnostic.name}", STREAM)
+            diagnostic.name: interfaces.BEAM.publisher(node, diagnostic.name)
             for diagnostic in description.diagnostics
         }
-        self._truth = (
-            node.create_publisher(msg.NamedValues, "truth", STREAM) if with_truth else None
-        )
-        self._uncertainty = node.create_publisher(msg.NamedValues, "model_uncertainty", LATCHED)
+        self._truth = interfaces.TRUTH.publisher(node) if with_truth else None
+        self._uncertainty = interfaces.MODEL_UNCERTAINTY.publisher(node)
 
     def publish(self, shot: Shot) -> None:
         """Publish one shot; values that were not measured are NaN."""

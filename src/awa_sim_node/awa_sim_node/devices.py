@@ -14,11 +14,11 @@ from rclpy.node import Node
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import Trigger
 
+from awa_sim_node import interfaces
 from awa_sim_node.backend import SimulatedBackend
 from mobo_msgs_py.action import EvaluateSetpoint
 from mobo_tuner.machine.backend import Failure
 from mobo_tuner.machine.server import MachineServer
-from mobo_tuner.ros.qos import LATCHED, STREAM
 
 WARNING_PERIOD = 1.0  # [s] between two warnings with the same error code for one device
 
@@ -40,17 +40,13 @@ class Devices:
         self._backend = backend
         self._server = server
         names = [variable.name for variable in backend.variables]
-        self._readbacks = {
-            name: node.create_publisher(Float64, f"{name}/readback", STREAM) for name in names
-        }
-        self._settled = {
-            name: node.create_publisher(Bool, f"{name}/settled", LATCHED) for name in names
-        }
+        self._readbacks = {name: interfaces.READBACK.publisher(node, name) for name in names}
+        self._settled = {name: interfaces.SETTLED.publisher(node, name) for name in names}
         for name in names:
-            node.create_subscription(Float64, f"{name}/setpoint", partial(self._set, name), STREAM)
-        self._interlock = node.create_publisher(Bool, "interlock", LATCHED)
-        node.create_service(Trigger, "stop", self._served(self._stop))
-        node.create_service(Trigger, "clear_interlock", self._served(self._clear))
+            interfaces.SETPOINT.subscription(node, partial(self._set, name), name)
+        self._interlock = interfaces.INTERLOCK.publisher(node)
+        interfaces.STOP.server(node, self._served(self._stop))
+        interfaces.CLEAR_INTERLOCK.server(node, self._served(self._clear))
         self._warned: dict[str, tuple[int, float]] = {}
         self._shown: dict[str, bool] = {}
         self._shown_interlock: bool | None = None

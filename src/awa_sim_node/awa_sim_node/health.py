@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
+from awa_sim_node import interfaces
 from awa_sim_node.backend import SimulatedBackend
-from mobo_tuner.ros.qos import STREAM
 
 
 class Health:
@@ -22,7 +22,7 @@ class Health:
     def __init__(self, node: Node, backend: SimulatedBackend) -> None:
         self._node = node
         self._backend = backend
-        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", STREAM)
+        self._publisher = interfaces.DIAGNOSTICS.publisher(node)
         self.evaluations = 0
         self.failures = 0
 

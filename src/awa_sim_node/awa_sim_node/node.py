@@ -11,9 +11,9 @@ from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
-from rclpy.qos import qos_profile_system_default
 from rosgraph_msgs.msg import Clock as ClockMessage
 
+from awa_sim_node import interfaces
 from awa_sim_node.backend import SimulatedBackend
 from awa_sim_node.beam_topics import BeamTopics
 from awa_sim_node.devices import Devices
@@ -61,9 +61,7 @@ class AwaSim(MachineNode):
         self._every(HEALTH_PERIOD, self._health.publish)
         if self._values["publish_clock"]:
             self._began = time.time()
-            self._clock_publisher = self.create_publisher(
-                ClockMessage, "/clock", qos_profile_system_default
-            )
+            self._clock_publisher = interfaces.CLOCK.publisher(self)
             self._every(CLOCK_PERIOD, self._publish_clock)
         self.autostart()
 

@@ -22,7 +22,7 @@ ParameterValue = bool | int | float | str | tuple[float, ...] | None
 NULL = "null"  # in a parameter file; ROS hands it on as text
 _TYPE_NAMES = {
     bool: "true or false",
-    int: "a whole number",
+    int: "an integer",
     float: "a number",
     tuple: "a list of numbers",
     str: "text",

@@ -55,7 +55,7 @@ def test_a_change_holds_from_the_next_evaluation_on(
     held = machine.goals[-1].index
     values: dict[str, Any] = {
         "variables__x1__min": 0.5,
-        "variables__x1__max": 1,  # a whole number may stand for a number
+        "variables__x1__max": 1,  # an integer may stand for a number
         "variables__x2__cost": 3.0,
         "objectives__f1__reference": 3.0,
         "objectives__f2__truncation": [0.0, 4.5],

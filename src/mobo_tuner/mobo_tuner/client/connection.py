@@ -20,14 +20,11 @@ from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
-from std_srvs.srv import Trigger
 
 from mobo_msgs_py import msg
-from mobo_msgs_py.action import GoToWorkingPoint, Tune
-from mobo_msgs_py.srv import Ask, ListWorkingPoints, QueueSetpoint, Tell
 from mobo_tuner.client.values import ErrorCode, TunerError
+from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.executor_thread import ExecutorThread
-from mobo_tuner.ros.qos import KEPT, LATCHED
 
 SILENCE_TIMEOUT = 5.0  # [s] without a status, which comes at 1 Hz, after which the tuner is lost
 RESTART_TIMEOUT = 2.0  # [s] without a status, after which it may be another tuner that speaks
@@ -36,26 +33,16 @@ CLOSE_TIMEOUT = 5.0  # [s] for what is canceled at the end
 POLL_PERIOD = 0.05  # [s]
 
 SERVICES: Mapping[str, type] = {
-    "pause": Trigger,
-    "resume": Trigger,
-    "step": Trigger,
-    "skip": Trigger,
-    "stop_after_this": Trigger,
-    "queue_setpoint": QueueSetpoint,
-    "list_working_points": ListWorkingPoints,
-    "ask": Ask,
-    "tell": Tell,
+    **{service.name: service.kind for service in interfaces.SERVICES if service.node == "tuner"},
     "tuner/get_parameters": GetParameters,
     "tuner/set_parameters_atomically": SetParametersAtomically,
     "go_to_working_point/_action/cancel_goal": CancelGoal,
 }
 PROBE = "tune/_action/cancel_goal"
-ACTIONS: Mapping[str, type] = {"tune": Tune, "go_to_working_point": GoToWorkingPoint}
-RUN_TOPICS: Mapping[str, type] = {
-    "problem": msg.Problem,
-    "pareto_front": msg.ParetoFront,
-    "evaluation": msg.Evaluation,
+ACTIONS: Mapping[str, type] = {
+    action.name: action.kind for action in interfaces.ACTIONS if action.node == "tuner"
 }
+RUN_TOPICS = (interfaces.PROBLEM, interfaces.PARETO_FRONT, interfaces.EVALUATION)
 
 Inbox = queue.SimpleQueue[Callable[[], object] | None]
 """What a waiting thread is to call; None only wakes it."""
@@ -245,19 +232,18 @@ class Connection:
             self._services[name] = self._node.create_client(kind, self._name(name))
         for name, kind in ACTIONS.items():
             self._actions[name] = ActionClient(self._node, kind, self._name(name))
-        self._subscribe("status", msg.TunerStatus)
+        self._subscribe(interfaces.STATUS)
         self._services[PROBE] = self._node.create_client(CancelGoal, self._name(PROBE))
 
-    def _subscribe(self, topic: str, kind: type) -> None:
-        qos = KEPT if topic == "evaluation" else LATCHED
-        self._subscriptions[topic] = self._node.create_subscription(
-            kind, self._name(topic), partial(self._take, topic), qos
+    def _subscribe(self, topic: interfaces.Topic) -> None:
+        self._subscriptions[topic.name] = self._node.create_subscription(
+            topic.kind, self._name(topic.name), partial(self._take, topic.name), topic.qos
         )
 
     def _subscribe_to_runs(self) -> None:
-        for topic, kind in RUN_TOPICS.items():
-            if topic not in self._subscriptions:
-                self._subscribe(topic, kind)
+        for topic in RUN_TOPICS:
+            if topic.name not in self._subscriptions:
+                self._subscribe(topic)
 
     def _take(self, topic: str, message: Any) -> None:
         if topic == "status":

@@ -12,7 +12,8 @@ from rclpy.node import Node
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint
 from mobo_msgs_py.srv import DescribeMachine
-from mobo_tuner.ros.action_server import Goal, GoalServer
+from mobo_tuner.ros import interfaces
+from mobo_tuner.ros.action_server import Goal
 from mobo_tuner.ros.conversions import named_values, values_of
 from mobo_tuner.ros.waiting import first_of
 
@@ -85,12 +86,10 @@ class MachineDouble:
             ],
             diagnostics=[msg.Observable(name=n) for n in diagnostics],
         )
-        self._service = node.create_service(
-            DescribeMachine, "describe_machine", lambda *_: self._description
-        )
+        self._service = interfaces.DESCRIBE_MACHINE.server(node, lambda *_: self._description)
         self._servers = [
-            GoalServer(node, EvaluateSetpoint, "evaluate_setpoint", self._evaluate),
-            GoalServer(node, ApplySetpoint, "apply_setpoint", self._apply),
+            interfaces.EVALUATE_SETPOINT.server(node, self._evaluate),
+            interfaces.APPLY_SETPOINT.server(node, self._apply),
         ]
 
     def close(self) -> None:

@@ -28,9 +28,9 @@ from mobo_tuner.machine.backend import (
 )
 from mobo_tuner.machine.client_watch import ClientWatch, FinishedEvaluations
 from mobo_tuner.machine.goal_checks import check_evaluation, check_setpoint
-from mobo_tuner.ros.action_server import Goal, GoalServer
+from mobo_tuner.ros import interfaces
+from mobo_tuner.ros.action_server import Goal
 from mobo_tuner.ros.conversions import values_of
-from mobo_tuner.ros.qos import STREAM
 from mobo_tuner.ros.waiting import until
 
 FEEDBACK_PERIOD = 0.2  # [s] of wall time
@@ -57,13 +57,11 @@ class MachineServer:
         self._stopped: Failure | None = None
         self._watch = ClientWatch()
         self._finished = FinishedEvaluations()
-        self._service = node.create_service(DescribeMachine, "describe_machine", self._describe)
-        self._heartbeats = node.create_subscription(
-            msg.Heartbeat, "heartbeat", self._hear_heartbeat, STREAM
-        )
+        self._service = interfaces.DESCRIBE_MACHINE.server(node, self._describe)
+        self._heartbeats = interfaces.HEARTBEAT.subscription(node, self._hear_heartbeat)
         self._servers = [
-            GoalServer(node, EvaluateSetpoint, "evaluate_setpoint", self._evaluate),
-            GoalServer(node, ApplySetpoint, "apply_setpoint", self._apply),
+            interfaces.EVALUATE_SETPOINT.server(node, self._evaluate),
+            interfaces.APPLY_SETPOINT.server(node, self._apply),
         ]
         # On a steady clock, because clients live in wall time, not in simulated time.
         self._timer = node.create_timer(

@@ -15,9 +15,9 @@ from mobo_tuner.client import ErrorCode, RunResult, TunerClient, TunerError
 from mobo_tuner.displays.console_view import make_view
 from mobo_tuner.errors import UserError
 from mobo_tuner.nodes.parameters import CONSOLE
+from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.parameters import declare
 from mobo_tuner.ros.process import exit_process, run_node
-from mobo_tuner.ros.qos import LATCHED
 from mobo_tuner.ros.waiting import until
 from mobo_tuner.runs.run_id import check_run_id, new_run_id
 
@@ -57,7 +57,7 @@ class Console:
         self._interrupted = False
         self._client = TunerClient(node=self.node, executor=executor, timeout=self._ready_timeout)
         self._view = make_view(self._run_id, self._evaluations)
-        self.node.create_subscription(RecorderStatus, "recorder_status", self._on_recorder, LATCHED)
+        interfaces.RECORDER_STATUS.subscription(self.node, self._on_recorder)
         threading.Thread(target=self._run, name="run", daemon=True).start()
 
     def interrupt(self) -> None:

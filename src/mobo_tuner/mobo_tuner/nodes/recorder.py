@@ -33,9 +33,9 @@ from std_msgs.msg import Header
 
 from mobo_msgs_py.msg import RecorderStatus
 from mobo_tuner.nodes.parameters import RECORDER
+from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.parameters import declare
 from mobo_tuner.ros.process import StartError, exit_process, run_node
-from mobo_tuner.ros.qos import LATCHED
 from mobo_tuner.runs.bag import BagWriter
 from mobo_tuner.runs.definitions import Definition, DefinitionError, find_definition
 
@@ -66,7 +66,7 @@ class Recorder:
         self._last_timestamp = 0
         self._topics: set[str] = set()
         self._refused: set[str] = set()
-        self._publisher = self._node.create_publisher(RecorderStatus, "recorder_status", LATCHED)
+        self._publisher = interfaces.RECORDER_STATUS.publisher(self._node)
         self._node.create_timer(float(parameters["discovery_period"]), self._discover)
         self._node.create_timer(FLUSH_PERIOD, self._flush)
         self._node.create_timer(STATUS_PERIOD, self._publish_status)

@@ -16,6 +16,7 @@ from rclpy.task import Future
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint
 from mobo_msgs_py.srv import DescribeMachine
+from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.conversions import measurements_of, seconds, values_of
 from mobo_tuner.ros.waiting import first_of, until
 
@@ -56,11 +57,11 @@ class MachineClient:
         self._silence_timeout = silence_timeout
         self._evaluation_timeout = evaluation_timeout
         self._stopped: Future | None = None  # the result of what was stopped, until it came
-        self._evaluate = ActionClient(node, EvaluateSetpoint, "evaluate_setpoint")
-        self._apply = ActionClient(node, ApplySetpoint, "apply_setpoint")
+        self._evaluate = interfaces.EVALUATE_SETPOINT.client(node)
+        self._apply = interfaces.APPLY_SETPOINT.client(node)
         # Made last: endpoints are discovered in this order, so that a machine that answers this one
         # knows the others, too. It would drop its answers to a client that it does not know yet.
-        self._describe = node.create_client(DescribeMachine, "describe_machine")
+        self._describe = interfaces.DESCRIBE_MACHINE.client(node)
 
     async def describe(
         self, timeout: float, *interrupts: Future

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
@@ -11,27 +12,69 @@ from rclpy.node import Node
 from mobo_tuner.core.problem import SECTIONS, Problem, ProblemError
 from mobo_tuner.parameter_spec import NULL
 
-_DESCRIPTIONS = {
-    ("variables", "min"): "lower bound of the search",
-    ("variables", "max"): "upper bound of the search",
-    ("variables", "cost"): "relative cost of changing the variable",
-    ("objectives", "direction"): "minimize or maximize",
-    ("objectives", "reference"): "component of the reference point",
-    ("objectives", "truncation"): "side [A, B] of the truncation box",
-    ("objectives", "invalid"): "readings that mean that nothing was measured",
-    ("constraints", "min"): "least value that is feasible",
-    ("constraints", "max"): "greatest value that is feasible",
-    ("constraints", "invalid"): "readings that mean that nothing was measured",
-    ("observables", "invalid"): "readings that mean that nothing was measured",
-    ("constraints", "critical"): "whether a single shot that violates it ends the evaluation",
-}
-# What may be set while the node runs, by section; it is declared even where the file lacks it.
-WRITABLE = {
-    "variables": ("min", "max", "cost"),
-    "objectives": ("reference", "truncation"),
-    "constraints": ("min", "max", "critical"),
-    "observables": (),
-}
+
+@dataclass(frozen=True)
+class QuantityParameter:
+    """A parameter of each quantity in a section of the problem.
+
+    Attributes:
+        section: Section, one of `SECTIONS`.
+        leaf: Last part of its name, `<section>.<name of the quantity>.<leaf>`.
+        kind: Type and default, in words.
+        description: Meaning.
+        writable: Whether it may be set while the node runs. Such a parameter is declared even if the
+            file does not give it.
+    """
+
+    section: str
+    leaf: str
+    kind: str
+    description: str
+    writable: bool = False
+
+
+_UNIT = "Unit; if given, it must be the machine's."
+_INVALID = "Readings that mean that nothing was measured."
+QUANTITY_PARAMETERS = tuple(
+    QuantityParameter(*row)
+    for row in (
+        ("variables", "min", "number, required", "Lower bound of the search.", True),
+        ("variables", "max", "number, required", "Upper bound of the search.", True),
+        ("variables", "cost", "number >= 0, 1.0", "Relative cost of a change of it.", True),
+        ("variables", "unit", "text, empty", _UNIT),
+        (
+            "objectives",
+            "reference",
+            "number, inferred",
+            "Component of the reference point, the worst value of interest.",
+            True,
+        ),
+        ("objectives", "direction", "minimize or maximize, minimize", "Better direction."),
+        (
+            "objectives",
+            "truncation",
+            "two numbers [A, B], none",
+            "Side of the truncation box, which contains the reference.",
+            True,
+        ),
+        ("objectives", "invalid", "list of numbers, empty", _INVALID),
+        ("objectives", "unit", "text, empty", _UNIT),
+        ("constraints", "min", "number, none", "Least feasible value; min, max or both.", True),
+        ("constraints", "max", "number, none", "Greatest feasible value; min, max or both.", True),
+        (
+            "constraints",
+            "critical",
+            "true or false, false",
+            "Whether one shot that violates it ends the evaluation.",
+            True,
+        ),
+        ("constraints", "invalid", "list of numbers, empty", _INVALID),
+        ("constraints", "unit", "text, empty", _UNIT),
+        ("observables", "invalid", "list of numbers, empty", _INVALID),
+        ("observables", "unit", "text, empty", _UNIT),
+    )
+)
+_BY_NAME = {(p.section, p.leaf): p for p in QUANTITY_PARAMETERS}
 
 
 class ProblemParameters:
@@ -40,45 +83,44 @@ class ProblemParameters:
     The node must declare its parameters from overrides, since only the file knows their names.
 
     Raises:
-        ProblemError: they do not make up a problem.
+        ProblemError: If they do not form a valid problem.
     """
 
     def __init__(self, node: Node) -> None:
         self._values: dict[str, Any] = {}
         for section in SECTIONS:
             given: Mapping[str, Any] = node.get_parameters_by_prefix(section)
-            for key, parameter in given.items():
+            for key, given_parameter in given.items():
                 name = f"{section}.{key}"
-                if not _is_unset(parameter.value):
-                    self._values[name] = _plain(parameter.value)
+                if not _is_unset(given_parameter.value):
+                    self._values[name] = _plain(given_parameter.value)
                 node.set_descriptor(name, _descriptor(name))
         self.problem = Problem.from_dict(_nested(self._values))
-        for section, leaves in WRITABLE.items():
-            for quantity in getattr(self.problem, section):
-                for leaf in leaves:
-                    name = f"{section}.{quantity.name}.{leaf}"
-                    if not node.has_parameter(name):
-                        node.declare_parameter(name, None, _descriptor(name))
+        for parameter in QUANTITY_PARAMETERS:
+            for quantity in getattr(self.problem, parameter.section):
+                name = f"{parameter.section}.{quantity.name}.{parameter.leaf}"
+                if parameter.writable and not node.has_parameter(name):
+                    node.declare_parameter(name, None, _descriptor(name))
 
     def owns(self, name: str) -> bool:
-        """Whether a parameter of this name is part of the problem."""
+        """Return whether a parameter of this name is part of the problem."""
         return name.split(".")[0] in SECTIONS
 
     def with_changes(self, changes: Mapping[str, Any]) -> Problem:
-        """The problem with some parameters set.
+        """Return the problem with some parameters set.
 
         Raises:
-            ProblemError: they do not make up a problem.
+            ProblemError: If they do not form a valid problem.
         """
         return Problem.from_dict(_nested(self._with(changes)))
 
     def accept(self, changes: Mapping[str, Any]) -> None:
-        """Some parameters were set."""
+        """Take over parameters that were set."""
         self.problem = self.with_changes(changes)
         self._values = self._with(changes)
 
     def _with(self, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """The values with some set, or unset by null."""
+        """Return the values with some set, or unset by null."""
         for name, value in changes.items():
             if value is None:
                 raise ProblemError(f"{name} cannot be deleted; '{NULL}' unsets it")
@@ -87,27 +129,28 @@ class ProblemParameters:
 
 
 def _is_unset(value: Any) -> bool:
-    """Whether a parameter has no value: a leaf that was declared only, or the text of null."""
+    """Return whether a parameter has no value: it was only declared, or is the text "null"."""
     return value is None or (isinstance(value, str) and value == NULL)
 
 
 def _descriptor(name: str) -> ParameterDescriptor:
     section, *_, leaf = name.split(".")
+    known = _BY_NAME.get((section, leaf))
     return ParameterDescriptor(
         name=name,
-        description=_DESCRIPTIONS.get((section, leaf), ""),
-        read_only=leaf not in WRITABLE[section],
+        description=known.description if known else "",
+        read_only=known is None or not known.writable,
         dynamic_typing=True,  # so that 500 may stand for 500.0; checked by the problem
     )
 
 
 def _plain(value: Any) -> Any:
-    """A parameter's value without the array types of rclpy."""
+    """Return a parameter's value without the array types of rclpy."""
     return list(value) if hasattr(value, "tolist") else value
 
 
 def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The mapping that a file would hold."""
+    """Return the mapping that a file would hold."""
     nested: dict[str, Any] = {}
     for name, value in values.items():
         branch = nested

@@ -11,7 +11,7 @@ from std_msgs.msg import Float64, Header
 
 from mobo_msgs_py import msg
 from mobo_tuner.core.problem import Problem
-from mobo_tuner.ros.qos import KEPT, LATCHED, STREAM
+from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.waiting import STEADY_CLOCK
 
 STATUS_PERIOD = 1.0  # [s]
@@ -38,10 +38,10 @@ class TunerTopics:
     """
 
     def __init__(self, node: Node, problem: Problem, client_timeout: float) -> None:
-        self._problem = node.create_publisher(msg.Problem, "problem", LATCHED)
-        self._records = node.create_publisher(msg.RunRecords, "run_records", LATCHED)
-        self._front = node.create_publisher(msg.ParetoFront, "pareto_front", LATCHED)
-        self._evaluation = node.create_publisher(msg.Evaluation, "evaluation", KEPT)
+        self._problem = interfaces.PROBLEM.publisher(node)
+        self._records = interfaces.RUN_RECORDS.publisher(node)
+        self._front = interfaces.PARETO_FRONT.publisher(node)
+        self._evaluation = interfaces.EVALUATION.publisher(node)
         names = dict.fromkeys(
             [
                 *problem.variable_names,
@@ -51,9 +51,7 @@ class TunerTopics:
                 "suggest_seconds",
             ]
         )
-        self._plots = {
-            name: node.create_publisher(Float64, f"plot/{name}", STREAM) for name in names
-        }
+        self._plots = {name: interfaces.PLOT.publisher(node, name) for name in names}
         self.status = Status(node)
         self.heartbeat = Heartbeat(node, client_timeout)
 
@@ -94,7 +92,7 @@ class Status:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._publisher = node.create_publisher(msg.TunerStatus, "status", LATCHED)
+        self._publisher = interfaces.STATUS.publisher(node)
         self.message = msg.TunerStatus()
         # On a steady clock: who watches the tuner must not be misled by simulated time that stands.
         self._timer = node.create_timer(STATUS_PERIOD, self._publish, clock=STEADY_CLOCK)
@@ -140,7 +138,7 @@ class Heartbeat:
     def __init__(self, node: Node, client_timeout: float) -> None:
         self._node = node
         self._run_id = ""
-        self._publisher = node.create_publisher(msg.Heartbeat, "heartbeat", STREAM)
+        self._publisher = interfaces.HEARTBEAT.publisher(node)
         fastest = client_timeout / HEARTBEATS_PER_TIMEOUT or HEARTBEAT_PERIOD
         period = min(HEARTBEAT_PERIOD, fastest)
         self._timer = node.create_timer(period, self._beat, clock=STEADY_CLOCK)

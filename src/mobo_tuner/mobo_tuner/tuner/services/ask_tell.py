@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from mobo_msgs_py.action import EvaluateSetpoint
 from mobo_msgs_py.srv import Ask, Tell
 from mobo_tuner.core import Problem, ProblemError
+from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.conversions import measurements_of, named_values, unique_values
 from mobo_tuner.runs.records import SOURCES, EvaluationRecord
 from mobo_tuner.runs.run_id import new_run_id
@@ -43,8 +44,8 @@ class AskTell:
         self._parameters = parameters
         self._run: Run | None = None
         self._asked: Suggestion | None = None
-        context.node.create_service(Ask, "ask", self._ask)
-        context.node.create_service(Tell, "tell", self._tell)
+        interfaces.ASK.server(context.node, self._ask)
+        interfaces.TELL.server(context.node, self._tell)
 
     def close(self) -> None:
         """End the run that was begun here, if any."""

@@ -9,6 +9,7 @@ from std_srvs.srv import Trigger
 from mobo_msgs_py.srv import QueueSetpoint
 from mobo_tuner.core import ProblemError
 from mobo_tuner.errors import UserError
+from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.conversions import unique_values
 from mobo_tuner.runs.records import QueuedRecord
 from mobo_tuner.tuner.context import TunerContext
@@ -30,15 +31,15 @@ class SteeringServices:
     def __init__(self, context: TunerContext, session: Session) -> None:
         self._context = context
         self._session = session
-        for name, action in (
-            ("pause", _pause),
-            ("resume", _resume),
-            ("step", _step),
-            ("skip", _skip),
-            ("stop_after_this", _stop_after_this),
+        for service, action in (
+            (interfaces.PAUSE, _pause),
+            (interfaces.RESUME, _resume),
+            (interfaces.STEP, _step),
+            (interfaces.SKIP, _skip),
+            (interfaces.STOP_AFTER_THIS, _stop_after_this),
         ):
-            context.node.create_service(Trigger, name, self._trigger(name, action))
-        context.node.create_service(QueueSetpoint, "queue_setpoint", self._queue)
+            service.server(context.node, self._trigger(service.name, action))
+        interfaces.QUEUE_SETPOINT.server(context.node, self._queue)
 
     def _trigger(
         self, name: str, action: Callable[[Run], str]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import Tune
-from mobo_tuner.ros.action_server import Goal, GoalServer
+from mobo_tuner.ros import interfaces
+from mobo_tuner.ros.action_server import Goal
 from mobo_tuner.runs.records import EvaluationRecord
 from mobo_tuner.tuner.context import TunerContext
 from mobo_tuner.tuner.problem_parameters import ProblemParameters
@@ -37,7 +38,7 @@ class TuneServer:
         self._session = session
         self._loop = loop
         self._parameters = parameters
-        self._server = GoalServer(context.node, Tune, "tune", self._execute)
+        self._server = interfaces.TUNE.server(context.node, self._execute)
 
     async def _execute(self, goal: Goal) -> Tune.Result:
         """Carry out one run; its result has the front, whatever happens."""

@@ -14,7 +14,8 @@ from mobo_msgs_py.srv import ListWorkingPoints
 from mobo_tuner.core import ProblemError
 from mobo_tuner.core.focus import choose_on_front
 from mobo_tuner.core.hypervolume import hypervolume
-from mobo_tuner.ros.action_server import Goal, GoalServer
+from mobo_tuner.ros import interfaces
+from mobo_tuner.ros.action_server import Goal
 from mobo_tuner.ros.conversions import named_values, unique_values
 from mobo_tuner.tuner.context import TunerContext, describe
 from mobo_tuner.tuner.machine_client import MachineLostError
@@ -46,10 +47,8 @@ class WorkingPoints:
         self._holding = Holding(context, loop)
         self._interrupt: Future | None = None  # of the move that is being made
         self._reopened: Run | None = None  # the earlier run that was read last
-        context.node.create_service(ListWorkingPoints, "list_working_points", self._list)
-        self._server = GoalServer(
-            context.node, GoToWorkingPoint, "go_to_working_point", self._execute
-        )
+        interfaces.LIST_WORKING_POINTS.server(context.node, self._list)
+        self._server = interfaces.GO_TO_WORKING_POINT.server(context.node, self._execute)
 
     def stop(self, reason: str) -> None:
         """End the move or the holding; the machine holds where it is."""
