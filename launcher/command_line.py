@@ -48,7 +48,7 @@ class Parser(argparse.ArgumentParser):
 def _whole(low: int, high: int) -> Callable[[str], int]:
     def convert(text: str) -> int:
         if not re.fullmatch(r"-?[0-9]{1,18}", text) or not low <= int(text) <= high:
-            raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from {low} to {high}")
+            raise argparse.ArgumentTypeError(f"'{text}' is not an integer from {low} to {high}")
         return int(text)
 
     return convert

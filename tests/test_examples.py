@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import signal
 from collections.abc import Callable
@@ -30,12 +31,25 @@ def test_a_machine_and_a_client_of_ones_own_tune(start_node: NodeStarter) -> Non
     assert machine.stop() == 0
 
 
+def shown(word: str) -> str:
+    """The example of the README that contains a word."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    [block] = [b for b in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if word in b]
+    return block
+
+
+def test_the_loop_that_the_readme_shows(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(compile(shown("Optimizer"), "README.md", "exec"), {})
+    first, *front = capsys.readouterr().out.splitlines()
+    assert float(re.findall(r"[0-9.]+", first)[0]) > 12.5  # of at most 14.5
+    points = [[float(number) for number in re.findall(r"[0-9.]+", line)] for line in front]
+    assert len(points) >= 4
+    # A point of the true front is on the line between the two points that the distances are from.
+    assert min(f + g for f, g in points) == pytest.approx(math.sqrt(8.0), abs=0.05)
+
+
 def test_the_run_that_the_readme_shows(start_node: NodeStarter, tmp_path: Path) -> None:
-    [lines] = [
-        block
-        for block in re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-        if "TunerClient" in block
-    ]
+    lines = shown("TunerClient")
     assert len([line for line in lines.splitlines() if line]) <= 10
     (tmp_path / "shown.py").write_text(lines)
     config = ("--ros-args", "--params-file", str(ROOT / "config" / "awa.yaml"))

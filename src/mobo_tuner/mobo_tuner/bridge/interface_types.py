@@ -266,7 +266,7 @@ def _build(slot: Any, value: Any, where: str) -> Any:
         return value
     if _is_number(slot) and isinstance(value, int | float) and not isinstance(value, bool):
         if slot.typename not in _FLOATS and not isinstance(value, int):
-            raise FieldError(f"{where} is {value!r}; it must be a whole number")
+            raise FieldError(f"{where} is {value!r}; it must be an integer")
         return _encode(slot, value, where)
     raise FieldError(f"{where} is {type(value).__name__}; it must be {_describe(slot)}")
 

@@ -80,10 +80,10 @@ class Section:
         return number
 
     def whole(self, key: str, default: int | None = None, *, minimum: int, maximum: int) -> int:
-        """A whole number; needed where there is no default."""
+        """An integer; needed where there is no default."""
         value = self._needed(key, default)
         if not isinstance(value, int) or isinstance(value, bool) or not minimum <= value <= maximum:
-            raise self.error(key, f"it must be a whole number from {minimum} to {maximum}")
+            raise self.error(key, f"it must be an integer from {minimum} to {maximum}")
         return value
 
     def text(self, key: str, default: str | None = None) -> str:

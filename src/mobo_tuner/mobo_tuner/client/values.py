@@ -327,14 +327,14 @@ def number(value: Any, what: str) -> float:
 
 
 def count(value: Any, what: str) -> int:
-    """Return a whole number as messages take it.
+    """Return an integer as messages take it.
 
     Raises:
         TunerError: If it is none, or out of range.
     """
     if isinstance(value, bool) or not hasattr(value, "__index__") or not 0 <= value < 2**32:
         raise TunerError(
-            ErrorCode.INVALID_VALUE, f"{what} is {value!r}; a whole number of at least 0 is allowed"
+            ErrorCode.INVALID_VALUE, f"{what} is {value!r}; an integer of at least 0 is allowed"
         )
     return int(value)
 

@@ -225,7 +225,7 @@ def main() -> None:
 
 
 def _counts(now: Status) -> str:
-    """Return a whole number as messages take it."""
+    """Return an integer as messages take it."""
     return (
         f"{now.evaluations} of {now.budget} evaluations, {now.feasible} feasible, "
         f"{now.failed} failed, hypervolume {now.hypervolume:.6g}"
@@ -293,9 +293,9 @@ def _named_number(text: str) -> tuple[str, float]:
 
 
 def _count(text: str) -> int:
-    """Return a whole number as messages take it."""
+    """Return an integer as messages take it."""
     if not (text.isdecimal() and int(text) < 2**32):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 0")
+        raise argparse.ArgumentTypeError(f"{text!r} is not an integer of at least 0")
     return int(text)
 
 
