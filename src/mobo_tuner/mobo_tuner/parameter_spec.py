@@ -66,7 +66,7 @@ class ParameterSpec:
     def check(self, value: object, where: str = "") -> ParameterValue:
         """Return the value as one of this parameter's types.
 
-        A whole number may stand for a number, arrays of NumPy and rclpy for lists, and the text
+        An integer may stand for a number, arrays of NumPy and rclpy for lists, and the text
         "null" for null. The rows of a matrix become one list.
 
         Args:
@@ -94,7 +94,7 @@ class ParameterSpec:
         raise ParameterError(f"{name} must be {self.type_name}, not {value!r}")
 
     def _check_number(self, name: str, value: object, *, whole: bool) -> int | float:
-        # A whole number may be too large to become a float.
+        # An integer may be too large to become a float.
         if (
             isinstance(value, bool)
             or not isinstance(value, int if whole else int | float)
