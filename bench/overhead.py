@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -28,6 +26,7 @@ from mobo_tuner.runs.journal import Journal
 from mobo_tuner.runs.records import StartRecord, to_json
 from mobo_tuner.tuner.run.run import Findings
 from robustness.offline_run import OfflineRun, toy, toy_optimizer
+from robustness.processes import NodeProcess
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "config" / "toy.yaml"
@@ -35,33 +34,24 @@ NODES = {
     "awa_sim_node.node": ("awa_sim:speed:=1000.0",),
     "mobo_tuner.nodes.tuner": ("tuner:machine_return_timeout:=0.0",),
 }
-STOP_TIMEOUT = 10.0  # [s]
 
 
 def measured_overheads(evaluations: int, runs_dir: Path) -> list[float]:
     """Return the overhead of each evaluation of a run over ROS [s]."""
     with ExitStack() as stack:
         domain = stack.enter_context(RosDomain())
-        environment = {**os.environ, **domain.environment, "OMP_NUM_THREADS": "1"}
         os.environ.update(domain.environment)
         for module, parameters in NODES.items():
             given = [*parameters, f"tuner:runs_dir:={runs_dir}"]
             options = [word for text in given for word in ("-p", text)]
-            process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-m",
-                    module,
-                    "--ros-args",
-                    "--params-file",
-                    str(CONFIG),
-                    *options,
-                ],
-                env=environment,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
+            log = runs_dir.with_name(f"{module}.log")
+            process = NodeProcess.start(
+                *("-m", module, "--ros-args", "--params-file", str(CONFIG), *options),
+                stdout_path=log,
+                stderr_path=log,
+                environment={**domain.environment, "OMP_NUM_THREADS": "1"},
             )
-            stack.callback(_end, process)
+            stack.callback(process.kill)
         overheads: list[float] = []
         with TunerClient(domain_id=domain.id, timeout=30.0) as client:
             client.tune(
@@ -99,15 +89,6 @@ def _seconds(function: Callable[[], object]) -> float:
     started = time.perf_counter()
     function()
     return time.perf_counter() - started
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    process.terminate()
-    try:
-        process.wait(STOP_TIMEOUT)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait(STOP_TIMEOUT)
 
 
 def main() -> None:

@@ -6,11 +6,7 @@ Unlike with `mobo.py run`, no process stops the others when one dies, as with no
 
 from __future__ import annotations
 
-import contextlib
-import os
 import signal
-import subprocess
-import sys
 import time
 import uuid
 from collections.abc import Callable, Mapping
@@ -29,6 +25,7 @@ from launcher.ros_domain import RosDomain
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint, Tune
 from mobo_tuner.ros.qos import LATCHED, STREAM
+from robustness.processes import NodeProcess
 
 ROOT = Path(__file__).resolve().parents[1]
 TIMEOUT = 90.0  # [s] for any wait; a longer wait is a hang
@@ -233,7 +230,7 @@ class Scene:
         self.runs_dir.mkdir(parents=True, exist_ok=True)
         self.machine = "bridge" if bridged else "machine"
         self._domain = RosDomain()
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._processes: dict[str, NodeProcess] = {}
         self._bags = 0
         self.recorded: list[str] = []  # IDs of the runs that began after the recorder
         self.on_client_lost = "hold"
@@ -321,10 +318,7 @@ class Scene:
 
     def kill(self, name: str) -> None:
         """Kill a process."""
-        process = self._processes.pop(name)
-        with contextlib.suppress(ProcessLookupError):
-            process.send_signal(signal.SIGKILL)
-        process.wait(10.0)
+        self._processes.pop(name).kill()
 
     def stop(self, name: str) -> int:
         """Stop a process and return its exit status.
@@ -335,17 +329,14 @@ class Scene:
         Raises:
             HangError: If the process does not stop in time.
         """
-        process = self._processes.pop(name)
-        process.send_signal(signal.SIGTERM)
         try:
-            return process.wait(TIMEOUT)
-        except subprocess.TimeoutExpired:
-            process.kill()
+            return self._processes.pop(name).stop(signal.SIGTERM, TIMEOUT)
+        except TimeoutError:
             raise HangError(f"the {name} did not stop") from None
 
     def dead(self) -> list[str]:
         """Return the names of processes that ended without being stopped."""
-        return [name for name, process in self._processes.items() if process.poll() is not None]
+        return [name for name, process in self._processes.items() if not process.running]
 
     def tracebacks(self) -> list[str]:
         """Return the names of the logs that contain a traceback."""
@@ -354,7 +345,7 @@ class Scene:
         ]
 
     def _alive(self, name: str) -> bool:
-        return name in self._processes and self._processes[name].poll() is None
+        return name in self._processes and self._processes[name].running
 
     def _start_node(
         self, name: str, module: str, values: Mapping[str, Any], file: Path | None = None
@@ -366,12 +357,7 @@ class Scene:
         self._start(name, ["-m", module, "--ros-args", *files, *given])
 
     def _start(self, name: str, words: list[str]) -> None:
-        with (self.folder / f"{name}.log").open("ab") as log:
-            self._processes[name] = subprocess.Popen(
-                [sys.executable, *words],
-                env={**os.environ, **self._domain.environment},
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                start_new_session=True,
-            )
+        log = self.folder / f"{name}.log"
+        self._processes[name] = NodeProcess.start(
+            *words, stdout_path=log, stderr_path=log, environment=self._domain.environment
+        )

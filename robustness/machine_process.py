@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-import subprocess
-import sys
+import signal
 import tempfile
 import time
 from collections.abc import Callable, Mapping
@@ -23,6 +23,7 @@ from rclpy.node import Node
 from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint
 from mobo_msgs_py.srv import DescribeMachine
 from mobo_tuner.ros.qos import STREAM
+from robustness.processes import NodeProcess
 
 ROOT = Path(__file__).resolve().parents[1]
 TIMEOUT = 30.0  # [s] for any wait
@@ -42,14 +43,16 @@ class MachineProcess:
 
     def __init__(self, environment: Mapping[str, str], parameters: Mapping[str, Any]) -> None:
         options = [w for name, value in parameters.items() for w in ("-p", f"{name}:={value}")]
-        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - closed when the block is left
-        self._popen = subprocess.Popen(
-            [sys.executable, "-m", "awa_sim_node.node", "--ros-args", *options],
-            env={**os.environ, **environment},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=self._log,
-            start_new_session=True,
+        self._scratch = tempfile.TemporaryDirectory()
+        log = Path(self._scratch.name, "log")
+        self._process = NodeProcess.start(
+            "-m",
+            "awa_sim_node.node",
+            "--ros-args",
+            *options,
+            stdout_path=log,
+            stderr_path=log,
+            environment=environment,
         )
         self._context = Context()
         rclpy.init(context=self._context, domain_id=int(environment["ROS_DOMAIN_ID"]))
@@ -81,48 +84,43 @@ class MachineProcess:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._popen.terminate()
-        try:
-            self._popen.wait(10.0)
-        except subprocess.TimeoutExpired:
-            self._popen.kill()
-            self._popen.wait(10.0)
+        with contextlib.suppress(TimeoutError):  # it is killed then
+            self._process.stop(signal.SIGTERM, 10.0)
         self._executor.shutdown(timeout_sec=1.0)
         self.node.destroy_node()
         self._context.try_shutdown()
-        self._log.close()
+        self._scratch.cleanup()
 
     @property
     def alive(self) -> bool:
         """Whether the process is running."""
-        return self._popen.poll() is None
+        return self._process.running
 
     @property
     def log(self) -> str:
         """Output of the machine so far."""
-        self._log.seek(0)
-        return self._log.read().decode(errors="replace")
+        return self._process.stderr
 
     @property
     def memory(self) -> float:
         """Resident memory of the machine [MB]."""
-        pages = int(Path(f"/proc/{self._popen.pid}/statm").read_text().split()[1])
+        pages = int(Path(f"/proc/{self._process.popen.pid}/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
     @property
     def open_files(self) -> int:
         """Number of open file descriptors of the machine."""
-        return len(os.listdir(f"/proc/{self._popen.pid}/fd"))
+        return len(os.listdir(f"/proc/{self._process.popen.pid}/fd"))
 
     @property
     def threads(self) -> int:
         """Number of the machine's threads."""
-        return len(os.listdir(f"/proc/{self._popen.pid}/task"))
+        return len(os.listdir(f"/proc/{self._process.popen.pid}/task"))
 
     @property
     def cpu_seconds(self) -> float:
         """CPU time of the machine [s]."""
-        fields = Path(f"/proc/{self._popen.pid}/stat").read_text().rsplit(")", 1)[1].split()
+        fields = Path(f"/proc/{self._process.popen.pid}/stat").read_text().rsplit(")", 1)[1].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def spin_until(
