@@ -16,14 +16,14 @@ from mobo_tuner.core import Optimizer, Problem
 NAMES = [f"x{k}" for k in range(4)]
 
 
-def make(objectives: int, **settings: float | None) -> Optimizer:
+def make(objectives: int, suggestion_seconds: float | None = None) -> Optimizer:
     problem = Problem.from_dict(
         {
             "variables": {name: {"min": -1.0, "max": 1.0} for name in NAMES},
             "objectives": {f"f{j}": {"reference": 3.0} for j in range(objectives)},
         }
     )
-    return Optimizer(problem, **settings)
+    return Optimizer(problem, suggestion_seconds=suggestion_seconds)
 
 
 def tell(optimizer: Optimizer, count: int, fails: float = 2.0, seed: int = 0) -> float:
