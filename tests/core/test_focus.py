@@ -29,7 +29,16 @@ def test_holding_a_point_finds_the_best_around_it_also_after_a_drift(drift: floa
             "objectives": {name: {"reference": 4.3} for name in ("f1", "f2")},
         }
     )
-    optimizer = Optimizer(problem, seed=1, initial_evaluations=8)
+    gained, possible = 0.0, 0.0
+    for seed in (1, 2, 3):
+        start, reached, best = _held(problem, seed, drift)
+        gained, possible = gained + start - reached, possible + start - best
+    assert gained > 0.75 * possible
+
+
+def _held(problem: Problem, seed: int, drift: float) -> tuple[float, float, float]:
+    """Return the weighted sum at a point of the front, the best that holding found, and the best there is."""
+    optimizer = Optimizer(problem, seed=seed, initial_evaluations=8)
     for _ in range(20):
         x = optimizer.ask()
         optimizer.tell(x, toy(x, 0.0))
@@ -53,6 +62,5 @@ def test_holding_a_point_finds_the_best_around_it_also_after_a_drift(drift: floa
         for b in steps
     ]
     best = min(total(x) for x in reachable)
-    start, reached = total(measured[0]), min(total(x) for x in measured)
     assert all(abs(x["x1"] - x1) <= 4.0 * RADIUS + 1e-9 for x in measured)
-    assert reached - best < 0.25 * (start - best)
+    return total(measured[0]), min(total(x) for x in measured), best

@@ -14,7 +14,7 @@ from mobo_tuner.core.kernels import Kernel, as_inputs
 from mobo_tuner.core.linear_algebra import FloatArray, single_blas_thread
 from mobo_tuner.core.output_scaling import OutputScaling, is_constant
 from mobo_tuner.core.posterior import Posterior
-from mobo_tuner.core.training import train
+from mobo_tuner.core.training import noise_evidence, train
 
 __all__ = ["GaussianProcess", "GaussianProcessSettings", "LeaveOneOut", "Prediction"]
 
@@ -119,6 +119,7 @@ class GaussianProcess:
         restarts: int | None = None,
         most_trained: int | None = None,
         seconds: float = np.inf,
+        noisy: bool = False,
     ) -> GaussianProcess:
         """Train on the observations and condition on them; O(n^3) for each step of the training.
 
@@ -132,6 +133,7 @@ class GaussianProcess:
             restarts: number of random starts in place of the settings'.
             most_trained: most observations to train on; all of them without it.
             seconds: time for the training [s], which ends with what was found.
+            noisy: Whether the machine is known to be noisy, which widens the prior of the noise.
 
         Returns:
             The model itself.
@@ -161,6 +163,7 @@ class GaussianProcess:
                     generator,
                     starts,
                     begin + seconds * (i + 1) / len(scalings),
+                    noisy,
                 )
                 self._trained[name] = parameters
                 model = _Model(name, scaling, parameters)
@@ -261,8 +264,39 @@ class GaussianProcess:
         excess, variance = posterior.leave_one_out()
         latent = scaling.unstandardise(posterior.x, posterior.z - excess, np.sqrt(variance))
         mean, stddev = scaling.to_output(*latent)
-        log_density = -0.5 * (np.log(2.0 * np.pi * variance) + excess * excess / variance)
+        log_density = posterior.leave_one_out_log_density
         return LeaveOneOut(mean, stddev, y - mean, log_density + scaling.log_slope(y))
+
+    def sample(self, x: ArrayLike, normals: FloatArray) -> FloatArray:
+        """Return draws `(s, m)` of the latent function at x `(m, d)`; O(m n^2 + m^3).
+
+        Args:
+            x: Normalised inputs `(m, d)`.
+            normals: Independent standard normal numbers `(s, m)`.
+        """
+        model, posterior, *_ = self._fitted
+        inputs = as_inputs(x, posterior.kernel.d)
+        with single_blas_thread():
+            mean, root = posterior.joint(inputs)
+            drawn = model.scaling.prior_mean(inputs) + model.scaling.scale * (
+                mean + normals @ root.T
+            )
+        return np.exp(drawn) if model.scaling.log else drawn
+
+    def noise_evidence(self) -> float:
+        """Return the log evidence that the readings are noisy, see `training.noise_evidence`."""
+        model, posterior, y, stddev = self._fitted
+        known = self._known_noise(model.scaling, y, stddev)
+        with single_blas_thread():
+            return noise_evidence(
+                self.settings, posterior.kernel, posterior.x, posterior.z, known, model.parameters
+            )
+
+    def untrained(self) -> GaussianProcess:
+        """Return a model with the same settings and no observations."""
+        return GaussianProcess(
+            self.settings, self.reference, mean=self._mean, mean_gradient=self._mean_gradient
+        )
 
     # What was learned.
 

@@ -18,6 +18,7 @@ from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.gaussian_process_settings import MeanFunction
 from mobo_tuner.core.pareto import is_nondominated
 from mobo_tuner.core.problem import LARGEST, Array, Problem, ProblemError
+from mobo_tuner.core.resolution import readings_differ
 from mobo_tuner.core.settings import OptimizerSettings
 from mobo_tuner.core.validity import ValidityModel
 
@@ -28,6 +29,8 @@ _SECONDS_OF_ALL = 0.5  # time budget of a suggestion from which on models learn 
 _TRAINING_SHARE = 0.4  # of the time budget
 _NEWS = 1e-3  # of the readings' spread
 _NEWS_OF_NOISE = 0.4  # of the noise: about that of six readings' average
+_NOISY = 11.0  # log evidence from which on the machine is taken for noisy
+_FEW = 60  # evaluations up to which every training weighs it
 
 PriorMean = Callable[[Mapping[str, Array]], Array]
 """Predicts one quantity in its own unit, shape ``(n,)``, from one array ``(n,)`` per variable."""
@@ -99,6 +102,8 @@ class Models:
         self._trained_rows = 0  # number of all evaluations at the last training
         self._held = 0  # number of all evaluations that the models hold
         self._outdated = False  # whether some of these were withdrawn or taken back
+        self._noise = settings.noise
+        self._noise_evidence = 0.0  # of all outputs together, at the last training
 
     def _mean_function(self, name: str, prior_mean: PriorMean) -> MeanFunction:
         """The prior mean of what is modelled, on normalised inputs."""
@@ -178,6 +183,22 @@ class Models:
         """Model, lower and upper limit of each constraint on what was measured at least once."""
         return [(model, lower, upper) for _, model, lower, upper in self.limited if model.n]
 
+    def is_noisy(self, data: Dataset) -> bool:
+        """Return whether the machine is noisy: as was said or told, or by the evidence.
+
+        Evidence is that readings differ at one place, or that no noiseless function explains them.
+        """
+        if not isinstance(self._noise, str) and self._noise > 0.0:
+            return True
+        if any((data.stddev_column(name) > 0.0).any() for name in self._processes):
+            return True
+        return self._learns_noise or (isinstance(self._noise, str) and readings_differ(data))
+
+    @property
+    def _learns_noise(self) -> bool:
+        """Whether the noise is learned and the evidence says that there is some."""
+        return isinstance(self._noise, str) and self._noise_evidence > _NOISY
+
     def extended(self, data: Dataset) -> Models:
         """Return models that know all of `data`, with the hyperparameters of the last training.
 
@@ -219,6 +240,7 @@ class Models:
         """Give every process the rows of its output, by training or one after the other."""
         count, inputs = self._count(data), data.inputs
         begin = time.monotonic()
+        noisy = self._learns_noise
         for position, (name, process) in enumerate(self._processes.items()):
             y, stddev = self._observations(name, data)
             rows = np.flatnonzero(np.isfinite(y))
@@ -236,11 +258,26 @@ class Models:
                     restarts=restarts,
                     most_trained=None if len(kept) == len(rows) else _MOST_TRAINED,
                     seconds=max(begin + share * self._seconds - time.monotonic(), 0.0),
+                    noisy=noisy,
                 )
             else:
                 for row in rows[rows >= self._held]:
                     process.add(inputs[row], float(y[row]), float(stddev[row]))
         self._held = len(data)
+        if train and (restarts is None or count <= _FEW):
+            self._weigh_noise(begin + _TRAINING_SHARE * self._seconds)
+            if self._learns_noise and not noisy and not self._is_hurried:
+                self._learn(data, train, restarts)
+
+    def _weigh_noise(self, deadline: float) -> None:
+        """Compute the evidence of noise; it stays as it was if time is up, by `time.monotonic`."""
+        evidence = 0.0
+        for process in self._processes.values():
+            if time.monotonic() > deadline:
+                return
+            if process.n:
+                evidence += max(process.noise_evidence(), 0.0)
+        self._noise_evidence = evidence
 
     def _kept(self, data: Dataset, rows: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the evaluations to learn from, at most so many: all, or those that matter most.
@@ -293,7 +330,7 @@ class Models:
             y, stddev = self._observations(name, data)
             rows = self._rows(data, y)
             if len(rows) == 0:
-                self._processes[name] = GaussianProcess(process.settings, process.reference)
+                self._processes[name] = process.untrained()
             else:
                 learn = process.condition if process.n else process.fit
                 learn(data.inputs[rows], y[rows], stddev[rows])
@@ -311,6 +348,7 @@ class Models:
             "held": self._held,
             "judged": self._judged,
             "outdated": self._outdated,
+            "noise_evidence": self._noise_evidence,
             "validity": self.validity.get_state(),
             "processes": {name: p.get_state() for name, p in self._processes.items()},
         }
@@ -324,6 +362,7 @@ class Models:
         self._trained, self._trained_rows = int(state["trained"]), int(state["trained_rows"])
         self._held, self._judged = int(state["held"]), int(state["judged"])
         self._outdated = bool(state["outdated"])
+        self._noise_evidence = float(state["noise_evidence"])
         if not (
             0 <= self._trained <= self._trained_rows <= self._held <= len(data)
             and 0 <= self._judged <= len(data)

@@ -24,7 +24,7 @@ from mobo_tuner.core.acquisition import (
     Model,
     beta_schedule,
 )
-from mobo_tuner.core.belief import Belief, believe, is_certain
+from mobo_tuner.core.belief import Belief, believe, is_certain, probability_nondominated
 from mobo_tuner.core.belief import measured as _measured
 from mobo_tuner.core.constraints import ProbabilityOfFeasibility, ValidityWeight
 from mobo_tuner.core.dataset import BoolArray, Dataset, Evaluation, Measured
@@ -39,7 +39,7 @@ from mobo_tuner.core.models import Models, PriorMean
 from mobo_tuner.core.predicted_front import predict_front
 from mobo_tuner.core.problem import Array, Problem, ProblemError, as_float
 from mobo_tuner.core.proximal import ProximalBiasing
-from mobo_tuner.core.resolution import Taken, readings_differ, taken
+from mobo_tuner.core.resolution import Taken, taken
 from mobo_tuner.core.scalarisation import WeightedSum
 from mobo_tuner.core.settings import make_settings
 from mobo_tuner.errors import UserError
@@ -128,7 +128,7 @@ class Optimizer:
 
         It is that of what is believed: readings where they can be trusted, else the models' means.
         """
-        if is_certain(self.dataset) or not self.problem.has_references:
+        if self._is_certain or not self.problem.has_references:
             return self._hypervolume
         if self._believed_hypervolume is None:
             belief = self._believed()
@@ -150,9 +150,18 @@ class Optimizer:
 
         Returns:
             For each point `index`, `setpoint`, `objectives` and their `stddevs`, in their own units,
-            and `predicted`, the names of the objectives that were not measured there.
+            `predicted`, the names of the objectives that were not measured there, and `probability`
+            of the point to be non-dominated among all evaluations.
         """
-        belief = _measured(self.dataset) if measured else self._believed()
+        if measured or self._is_certain:
+            belief = _measured(self.dataset)
+            probability = np.ones(len(self.dataset))
+        else:
+            belief = self._believed()
+            rng = np.random.default_rng([self.seed, 5, len(self.dataset)])
+            with single_blas_thread():
+                models = self._models.extended(self.dataset)
+                probability = probability_nondominated(self.dataset, models, belief, rng)
         names = self.problem.objective_names
         signs = np.array([o.sign for o in self.problem.objectives])
         front = []
@@ -164,6 +173,7 @@ class Optimizer:
                     "index": evaluation.index,
                     "setpoint": dict(evaluation.setpoint),
                     "objectives": dict(zip(names, values, strict=True)),
+                    "probability": float(probability[row]),
                     "stddevs": dict(zip(names, belief.stddevs[row].tolist(), strict=True)),
                     "predicted": [
                         n for n, p in zip(names, belief.predicted[row], strict=True) if p
@@ -258,10 +268,15 @@ class Optimizer:
         """Return the objectives of a complete evaluation as they are minimised, shape ``(P,)``."""
         return np.array([o.sign * evaluation.values[o.name] for o in self.problem.objectives])
 
+    @property
+    def _is_certain(self) -> bool:
+        """Whether every reading counts as it is and none is missing."""
+        return is_certain(self.dataset, self._models)
+
     def _believed(self) -> Belief:
         """Return what is believed of the evaluations so far."""
         if self._belief is None:
-            if is_certain(self.dataset):
+            if self._is_certain:
                 self._belief = _measured(self.dataset)
             else:
                 with single_blas_thread():
@@ -273,8 +288,9 @@ class Optimizer:
         self._belief = self._believed_hypervolume = None
 
     def _update_models(self) -> None:
+        was_certain = self._is_certain
         self._models.update(self.dataset)
-        if not is_certain(self.dataset):
+        if not (was_certain and self._is_certain):
             self._forget_belief()
 
     def _warn_of_misspelt(self, outputs: Mapping[str, Any]) -> None:
@@ -540,7 +556,7 @@ class Optimizer:
         )
         point: Array = np.asarray(design[index])
         used = taken(self.dataset)
-        if used.contains(point[None])[0] and not self._is_noisy():
+        if used.contains(point[None])[0] and not self._models.is_noisy(self.dataset):
             rng = np.random.default_rng([self.seed, 4, index])
             return explore(self.dataset.inputs, used, rng)
         return point
@@ -635,19 +651,9 @@ class Optimizer:
         again = bool(used.contains(x[None])[0])
         if not again and distances[nearest] > _NEAR:
             return True
-        if again and not self._is_noisy():
+        if again and not self._models.is_noisy(self.dataset):
             return False
         return self._models.expects_news(x, known[nearest])
-
-    def _is_noisy(self) -> bool:
-        """Return whether the readings are known to be noisy: by what was told, or by repetitions."""
-        noise = self.settings.noise
-        if not isinstance(noise, str) and noise > 0.0:
-            return True
-        names = self.problem.objective_names
-        if any((self.dataset.stddev_column(name) > 0.0).any() for name in names):
-            return True
-        return readings_differ(self.dataset)
 
     def _explored(self, rng: np.random.Generator) -> Array:
         """Return a point far from all evaluations that may be feasible and valid, shape ``(d,)``."""
@@ -732,7 +738,7 @@ class Optimizer:
 
         def front() -> BoxDecomposition:
             boxes = self._front()
-            is_front = is_certain(self.dataset) and not nearest
+            is_front = self._is_certain and not nearest
             return boxes if is_front else BoxDecomposition(reference, values)
 
         return chosen.of(Knowledge(models, values, reference, beta, front, truncation, tails))

@@ -168,6 +168,17 @@ class Posterior(TriangularPosterior):
         self.inverse = inverse
         self.weights = self._solve(values)
 
+    def joint(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the means `(m,)` at x `(m, d)` and a root `(m, m)` of their covariance matrix."""
+        scaled = x @ self.factor
+        profile, _ = self.kernel.profile(squared_distances(scaled, self.scaled))
+        mean, _, projected = self._moments(profile)
+        prior, _ = self.kernel.profile(squared_distances(scaled, scaled))
+        covariance = self.variance * prior - projected.T @ projected
+        covariance.flat[:: len(x) + 1] += self.variance * RELATIVE_JITTER
+        lower, _ = cholesky(covariance)
+        return mean, lower
+
     def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
         """Return the excess of each observation over its prediction from all others, and its variance.
 
@@ -175,6 +186,12 @@ class Posterior(TriangularPosterior):
         """
         precision = np.einsum("ij,ij->j", self.inverse, self.inverse)
         return self.weights / precision, 1.0 / precision
+
+    @property
+    def leave_one_out_log_density(self) -> FloatArray:
+        """Log density of each observation under its prediction from all others `(n,)`; O(n^2)."""
+        excess, variance = self.leave_one_out()
+        return np.asarray(-0.5 * (np.log(2.0 * np.pi * variance) + excess * excess / variance))
 
     @property
     def log_marginal_likelihood(self) -> float:

@@ -16,14 +16,18 @@ from scipy.optimize import minimize
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
 from mobo_tuner.core.kernels import Kernel, squared_distances
 from mobo_tuner.core.linear_algebra import FloatArray, cholesky, inverse_lower
-from mobo_tuner.core.posterior import RELATIVE_JITTER
+from mobo_tuner.core.posterior import RELATIVE_JITTER, Posterior
 
 _NOISE_PRIOR = (float(np.log(1e-4)), 2.0)
+_WIDE_NOISE_PRIOR = (float(np.log(1e-2)), 2.5)
 _VARIANCE_PRIOR_STDDEV = float(np.sqrt(2.0))
 _RESTART_SPREAD = 0.7
 _TOLERANCE = 1e-2  # of the log likelihood
 _BLOCK = 64
 _SUBSET = 128
+_EVIDENCE_STEPS = 30
+_CLEAR_NOISE = float(np.log(0.03))  # variance, as a share of that of the outputs
+_NEGLIGIBLE_NOISE = float(np.log(1e-5))  # variance, as a share of that of the outputs
 
 Objective = Callable[[FloatArray], tuple[float, FloatArray]]
 
@@ -45,16 +49,24 @@ class NegativeLogPosterior:
         extra: known noise variances `(n,)`, in the units of z squared.
         weak_prior: add the kernel's prior, a log-normal one of the noise around 1e-4, and one of
             the signal variance around the mean square of z.
+        noisy: Whether the machine is known to be noisy: then the prior of the noise is wide.
     """
 
     def __init__(
-        self, kernel: Kernel, x: FloatArray, z: FloatArray, extra: FloatArray, weak_prior: bool
+        self,
+        kernel: Kernel,
+        x: FloatArray,
+        z: FloatArray,
+        extra: FloatArray,
+        weak_prior: bool,
+        noisy: bool = False,
     ) -> None:
         self.kernel, self.x, self.z, self.extra, self.weak_prior = kernel, x, z, extra, weak_prior
         self.log_mean_square = float(np.log(max(float(np.mean(z * z)), 1e-6)))
         self._shape_prior = kernel.prior()
-        self._prior_mean = np.array([self.log_mean_square, _NOISE_PRIOR[0]])
-        self._prior_stddev = np.array([_VARIANCE_PRIOR_STDDEV, _NOISE_PRIOR[1]])
+        prior = _WIDE_NOISE_PRIOR if noisy else _NOISE_PRIOR
+        self._prior_mean = np.array([self.log_mean_square, prior[0]])
+        self._prior_stddev = np.array([_VARIANCE_PRIOR_STDDEV, prior[1]])
 
     def __call__(self, parameters: FloatArray) -> tuple[float, FloatArray]:
         """Value and gradient `(k + 2,)`; O(n^3 + n^2 d)."""
@@ -106,6 +118,12 @@ class NegativeLogPosterior:
             slope[rows, rows] = np.triu(slope[rows, rows], 1)
         covariance.flat[:: n + 1] = variance * (1.0 + RELATIVE_JITTER)
         return covariance, slope
+
+    def noise_penalty(self, log_noise: float) -> float:
+        """Return minus the log density of the prior of `log noise`, up to a constant."""
+        if not self.weak_prior:
+            return 0.0
+        return 0.5 * float(((log_noise - self._prior_mean[1]) / self._prior_stddev[1]) ** 2)
 
     def bounds(self, minimum_noise: float) -> FloatArray:
         """Lowest and highest allowed hyperparameters, `(k + 2, 2)`."""
@@ -256,6 +274,7 @@ def train(
     rng: np.random.Generator,
     restarts: int,
     deadline: float = np.inf,
+    noisy: bool = False,
 ) -> FloatArray:
     """Hyperparameters `(k + 2,)` for standardised observations, as the settings say.
 
@@ -273,8 +292,9 @@ def train(
         rng: draws the other starts.
         restarts: how many of them.
         deadline: when to stop with what was found [s], of `time.monotonic`.
+        noisy: Whether the machine is known to be noisy.
     """
-    objective = NegativeLogPosterior(kernel, x, z, extra, settings.prior == "weak")
+    objective = NegativeLogPosterior(kernel, x, z, extra, settings.prior == "weak", noisy)
     held, free = held_parameters(settings, kernel, scale)
     bounds = objective.bounds(settings.minimum_noise)
     default = objective.default_parameters()
@@ -290,6 +310,9 @@ def train(
         return train_adam(objective, start, bounds, free, settings.adam_rate, steps, deadline)[0]
     drawn = default + _RESTART_SPREAD * rng.standard_normal((restarts, len(start)))
     starts = np.vstack([start, np.where(free, drawn, held)])
+    if noisy and free[-1]:
+        clear = np.where(free, np.append(default[:-1], _CLEAR_NOISE), held)
+        starts = np.vstack([starts, clear])
     if len(z) > _SUBSET and (former is None or restarts > 0):
         starts = _best_start(objective, starts, bounds, free, former is not None, deadline)
     tolerance = _TOLERANCE / len(z)
@@ -328,3 +351,60 @@ def _best_start(
         return np.array(improved[-1:])
     best = int(np.argmin([objective(start)[0] for start in improved]))
     return np.array(improved[best : best + 1])
+
+
+def noise_evidence(
+    settings: GaussianProcessSettings,
+    kernel: Kernel,
+    x: FloatArray,
+    z: FloatArray,
+    extra: FloatArray,
+    parameters: FloatArray,
+) -> float:
+    """Return the log evidence of noise against a noiseless function.
+
+    It is the gain in the highest marginal likelihood, or, if that is less, the gain in the densities
+    of the observations under their predictions from all others, of which each counts for at most one:
+    a kink or a step of a noiseless function spoils a few predictions, noise spoils them all.
+
+    Args:
+        settings: Settings of the training.
+        kernel: Covariance function of d inputs.
+        x: Normalised inputs `(n, d)`.
+        z: Standardised outputs less the prior mean `(n,)`.
+        extra: Known variances of z `(n,)`.
+        parameters: Trained hyperparameters `(k + 2,)`.
+    """
+    if settings.noise != "learned" or len(z) < 3 or not z.any():
+        return 0.0
+    part = slice(None, None, -(-len(z) // _SUBSET))
+    objective = NegativeLogPosterior(
+        kernel, x[part], z[part], extra[part], settings.prior == "weak", noisy=True
+    )
+    n = len(objective.z)
+    bounds = objective.bounds(float(np.exp(_NEGLIGIBLE_NOISE)))
+    free = np.ones(len(parameters), dtype=np.bool_)
+    default = objective.default_parameters()
+    noisy, noiseless = (
+        np.array([np.append(p[:-1], noise) for p in (parameters, default)])
+        for noise in (_CLEAR_NOISE, _NEGLIGIBLE_NOISE)
+    )
+    tolerance = _TOLERANCE / n
+    noisy_best, learned = train_lbfgs(objective, noisy, bounds, free, tolerance, _EVIDENCE_STEPS)
+    free[-1] = False
+    noiseless_best, without = train_lbfgs(
+        objective, noiseless, bounds, free, tolerance, _EVIDENCE_STEPS
+    )
+    likelihood = n * (without - learned) - objective.noise_penalty(_NEGLIGIBLE_NOISE)
+    densities = [
+        Posterior(
+            kernel,
+            best[:-2],
+            float(np.exp(best[-2])),
+            objective.x,
+            objective.z,
+            float(np.exp(best[-1])) + objective.extra,
+        ).leave_one_out_log_density
+        for best in (noisy_best, noiseless_best)
+    ]
+    return float(min(likelihood, np.clip(densities[0] - densities[1], -1.0, 1.0).sum()))
