@@ -30,6 +30,7 @@ EVALUATION = Evaluation(
     feasible=True,
     non_dominated=True,
     hypervolume=1234.5,
+    hypervolume_measured=1234.5,
     error_code=0,
     error_msg="",
     suggest_seconds=0.25,
@@ -72,7 +73,7 @@ def test_the_live_view_shows_figures_of_the_run_and_why_it_waits() -> None:
     progress.add(replace(EVALUATION, index=30, objectives={"eps_x": 40.0, "yield": 0.75}))
     progress.add(replace(EVALUATION, index=31))
     progress.add(replace(EVALUATION, index=32, valid=False, feasible=False))
-    progress.set_front(Front("run", (), 0.0, {}, {}))
+    progress.set_front(Front("run", (), 0.0, 0.0, {}, {}))
     progress.set_status(Status("paused", budget=60, message="paused: a limit was violated"))
     text = shown(progress)
     assert "evaluation 32, 3 of 60 done" in text

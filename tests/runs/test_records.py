@@ -59,6 +59,7 @@ EVALUATION = EvaluationRecord(
     feasible=False,
     non_dominated=True,
     hypervolume=0.75,
+    hypervolume_measured=0.5,
     error_code=5,
     error_msg="the camera saw nothing",
     suggest_seconds=0.5,

@@ -55,6 +55,7 @@ class Status:
         failed: Number of invalid ones among the finished evaluations.
         feasible: Number of feasible ones among the finished evaluations.
         hypervolume: Hypervolume of the Pareto front.
+        hypervolume_measured: Hypervolume of the complete readings as they are.
         phase: The machine's own word for what it is doing, e.g. "ramping".
         fraction: Share of the phase that is done [0..1].
         stop_reason: Why the latest run ended; empty while one is going on.
@@ -68,6 +69,7 @@ class Status:
     failed: int = 0
     feasible: int = 0
     hypervolume: float = 0.0
+    hypervolume_measured: float = 0.0
     phase: str = ""
     fraction: float = 0.0
     stop_reason: str = ""
@@ -102,12 +104,14 @@ class Point:
         setpoint: Its set-point, by variable.
         objectives: Its objectives, by name.
         stddevs: Their standard deviations; NaN = unknown.
+        predicted: Names of the objectives that were not measured there.
     """
 
     index: int | None
     setpoint: Mapping[str, float]
     objectives: Mapping[str, float]
     stddevs: Mapping[str, float]
+    predicted: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -118,6 +122,7 @@ class Front:
         run_id: Id of the run that it belongs to.
         points: Its points.
         hypervolume: Its hypervolume against the reference point.
+        hypervolume_measured: Hypervolume of the complete readings as they are; NaN if it is predicted.
         reference_point: Worst value of interest of each objective.
         units: Units of objectives and variables.
     """
@@ -125,6 +130,7 @@ class Front:
     run_id: str
     points: tuple[Point, ...]
     hypervolume: float
+    hypervolume_measured: float
     reference_point: Mapping[str, float]
     units: Mapping[str, str]
 
@@ -228,6 +234,7 @@ def status_of(message: msg.TunerStatus) -> Status:
         failed=message.failed,
         feasible=message.feasible,
         hypervolume=message.hypervolume,
+        hypervolume_measured=message.hypervolume_measured,
         phase=message.phase,
         fraction=message.fraction,
         stop_reason=message.stop_reason,
@@ -257,6 +264,7 @@ def point_of(message: msg.ParetoPoint, *, predicted: bool = False) -> Point:
         setpoint=values_of(message.setpoint),
         objectives=values_of(message.objectives),
         stddevs={item.name: item.stddev for item in message.objectives},
+        predicted=tuple(message.predicted),
     )
 
 
@@ -267,6 +275,7 @@ def front_of(message: msg.ParetoFront, *, predicted: bool = False) -> Front:
         run_id=message.run_id,
         points=tuple(point_of(point, predicted=predicted) for point in message.points),
         hypervolume=message.hypervolume,
+        hypervolume_measured=message.hypervolume_measured,
         reference_point=values_of(message.reference_point),
         units=units_of((*message.reference_point, *setpoint)),
     )

@@ -67,7 +67,8 @@ class EvaluationRecord:
         valid: Whether the evaluation did not fail.
         feasible: Whether every objective and constrained diagnostic was measured and every constraint is met.
         non_dominated: Whether it was on the Pareto front after it was told.
-        hypervolume: Hypervolume of the front after this evaluation.
+        hypervolume: Hypervolume of the front after this evaluation, as `Optimizer.hypervolume`.
+        hypervolume_measured: Hypervolume of the complete readings as they are.
         error_code: One of `EvaluateSetpoint.Result`'s constants; 0 = none.
         error_msg: One sentence; empty without an error.
         suggest_seconds: Wall time of the suggestion [s].
@@ -86,6 +87,7 @@ class EvaluationRecord:
     feasible: bool
     non_dominated: bool
     hypervolume: float
+    hypervolume_measured: float
     error_code: Short
     error_msg: str
     suggest_seconds: float

@@ -83,9 +83,21 @@ def run_records_message(records: str, run_id: str, stamp: Time) -> msg.RunRecord
 
 
 def front_message(
-    problem: Problem, front: Iterable[Mapping], hypervolume: float, run_id: str, stamp: Time
+    problem: Problem,
+    front: Iterable[Mapping],
+    hypervolumes: tuple[float, float],
+    run_id: str,
+    stamp: Time,
 ) -> msg.ParetoFront:
-    """Return a front, as `Optimizer.pareto_front` or `predicted_front` gives it, as its message."""
+    """Return a front, as `Optimizer.pareto_front` or `predicted_front` gives it, as its message.
+
+    Args:
+        problem: Problem of the run.
+        front: Points of the front.
+        hypervolumes: Hypervolume of the front and that of the complete readings as they are.
+        run_id: Name of the run.
+        stamp: Time of the front.
+    """
     units = problem.units
     return msg.ParetoFront(
         header=Header(stamp=stamp),
@@ -95,9 +107,11 @@ def front_message(
                 index=point.get("index", 0),
                 setpoint=named_values(point["setpoint"], units),
                 objectives=named_values(point["objectives"], units, point.get("stddevs")),
+                predicted=point.get("predicted", ()),
             )
             for point in front
         ],
         reference_point=named_values({o.name: o.reference for o in problem.objectives}, units),
-        hypervolume=hypervolume,
+        hypervolume=hypervolumes[0],
+        hypervolume_measured=hypervolumes[1],
     )

@@ -172,6 +172,7 @@ class RunLoop:
             failed=run.found.failed,
             feasible=run.found.feasible,
             hypervolume=run.found.hypervolume,
+            hypervolume_measured=run.found.hypervolume_measured,
         )
 
     # ------------------------------------------------------------------ between two evaluations

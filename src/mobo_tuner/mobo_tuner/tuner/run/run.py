@@ -63,6 +63,7 @@ class Findings:
         failed: Number of those that are not valid.
         feasible: Number of those that are feasible.
         hypervolume: Hypervolume of the front.
+        hypervolume_measured: Hypervolume of the complete readings as they are.
         front: Pareto front, as `Optimizer.pareto_front` gives it.
     """
 
@@ -72,6 +73,7 @@ class Findings:
     failed: int
     feasible: int
     hypervolume: float
+    hypervolume_measured: float
     front: Sequence[Mapping[str, Any]]
 
     @classmethod
@@ -85,6 +87,7 @@ class Findings:
             failed=sum(not e.valid for e in made),
             feasible=sum(e.feasible for e in made),
             hypervolume=optimizer.hypervolume,
+            hypervolume_measured=optimizer.hypervolume_measured,
             front=tuple(optimizer.pareto_front()),
         )
 
@@ -175,7 +178,8 @@ class Run:
     def front_message(self, stamp: Time) -> msg.ParetoFront:
         """Return the Pareto front as it is now."""
         found = self.found
-        return front_message(found.problem, found.front, found.hypervolume, self.run_id, stamp)
+        volumes = (found.hypervolume, found.hypervolume_measured)
+        return front_message(found.problem, found.front, volumes, self.run_id, stamp)
 
     def problem_message(self, stamp: Time) -> msg.Problem:
         """Return the problem as it is now."""
@@ -228,6 +232,7 @@ class Run:
             feasible=evaluation.feasible,
             non_dominated=any(point["index"] == evaluation.index for point in found.front),
             hypervolume=found.hypervolume,
+            hypervolume_measured=found.hypervolume_measured,
             error_code=answer.error_code,
             error_msg=answer.error_msg,
             suggest_seconds=suggestion.seconds,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -74,7 +75,7 @@ class WorkingPoints:
                 response.message = "the models predict no point that is feasible and good enough"
                 return response
             response.predicted = front_message(
-                run.problem, front, volume, run.run_id, self._context.now()
+                run.problem, front, (volume, math.nan), run.run_id, self._context.now()
             )
         response.success = True
         return response
