@@ -14,7 +14,7 @@ EXTRAS = {
     "tuner": TUNER,
     "recorder": BAGS,
     "console": ["rich>=13.7"],
-    "report": [*TUNER, "matplotlib>=3.6", "rich>=13.7"],
+    "report": [*TUNER, "Jinja2>=3.1", "matplotlib>=3.6", "rich>=13.7"],
 }
 
 data_files = [
@@ -39,7 +39,7 @@ setup(
     install_requires=["PyYAML>=6.0", "numpy>=1.26"],
     extras_require={**EXTRAS, "all": sorted({name for extra in EXTRAS.values() for name in extra})},
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"]},
+    package_data={NAME: ["py.typed", "runs/report/templates/*"]},
     data_files=data_files,
     entry_points={
         "console_scripts": [f"{name} = {NAME}.nodes.{name}:main" for name in EXECUTABLES]

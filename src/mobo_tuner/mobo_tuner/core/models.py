@@ -168,6 +168,11 @@ class Models:
         return False
 
     @property
+    def by_output(self) -> dict[str, GaussianProcess]:
+        """Models of every objective, as it is minimised, and of every constrained diagnostic, by name."""
+        return dict(self._processes)
+
+    @property
     def limited(self) -> list[tuple[str, GaussianProcess, float, float]]:
         """Name, model, lower and upper limit of what it models, of each constraint."""
         limits = []

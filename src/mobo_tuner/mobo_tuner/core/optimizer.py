@@ -309,6 +309,15 @@ class Optimizer:
                 )
         self._told |= known & outputs.keys()
 
+    @property
+    def models(self) -> Models:
+        """Models that know all that was told, with the hyperparameters of the last training.
+
+        They are trained here if they were not yet. Nothing that this optimiser asks later depends on it.
+        """
+        with single_blas_thread():
+            return self._models.extended(self.dataset)
+
     def hints(self) -> list[str]:
         """Return what keeps the front empty, one sentence each; none once there is a front.
 

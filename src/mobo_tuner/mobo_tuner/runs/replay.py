@@ -22,22 +22,26 @@ from mobo_tuner.runs.records import EvaluationRecord
 from mobo_tuner.runs.saved_state import SavedState
 
 
-def restore(history: History, saved: SavedState | None = None) -> Optimizer:
-    """The optimiser of a run as it was after its last step: it asks what it would have asked then.
+def restore(
+    history: History, saved: SavedState | None = None, *, retrain: bool = True
+) -> Optimizer:
+    """Return the optimiser of a run as it was after its last step.
 
     Args:
-        history: of the run.
-        saved: its state at some step, from where on the history is lived through; without it, or
-            where it does not suit the history, that is from the start.
+        history: History of the run.
+        saved: State at some step, from where on the history is replayed; without it, or if it does
+            not suit the history, that is from the start.
+        retrain: Whether to train the models as often as the run did, so that the optimiser asks what it
+            would have asked then. Without it, they are trained when they are needed, which is much faster.
 
     Raises:
-        ProblemError: the history cannot have happened.
+        ProblemError: If the history cannot have happened.
     """
     optimizer, position = (saved.revive(history) if saved else None) or (None, 0)
     if optimizer is None:
         optimizer = make_optimizer(history.problem, history.settings)
     for step in history.steps[position:]:
-        if isinstance(step, EvaluationRecord):
+        if retrain and isinstance(step, EvaluationRecord):
             optimizer.catch_up()
         optimizer = take_step(optimizer, step, history.model_input)
     return optimizer

@@ -1,7 +1,7 @@
 """The report of a run, made from its journal alone: ``python -m mobo_tuner.runs.report RUN_FOLDER``.
 
-It writes `summary.json`, `hypervolume.png` and `front.png` into the run's folder and prints the
-Pareto front.
+It writes `summary.json`, `report.html`, `hypervolume.png` and `front.png` into the run's folder and
+prints the Pareto front.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from rich.text import Text
 
 from mobo_tuner.core.problem import Array
 from mobo_tuner.files import replace_file
-from mobo_tuner.runs.journal import JournalError, read_journal
+from mobo_tuner.runs.journal import JournalError
 from mobo_tuner.runs.recorded_run import RecordedRun
 from mobo_tuner.runs.report.figures import front_figure, hypervolume_figure, write_figure
+from mobo_tuner.runs.report.page import render_page
 from mobo_tuner.runs.report.summary import choose_points, summarize
 
 SHOWN_POINTS = 12  # of a larger front
@@ -37,9 +38,10 @@ def write_report(run_dir: str | Path) -> RecordedRun:
         OSError: the folder cannot be written.
     """
     folder = Path(run_dir)
-    run = RecordedRun.from_records(read_journal(folder))
+    run = RecordedRun.load(folder)
     text = json.dumps(summarize(run), indent=2, ensure_ascii=False, allow_nan=False)
     replace_file(folder / "summary.json", (text + "\n").encode())
+    replace_file(folder / "report.html", render_page(run, folder).encode())
     write_figure(hypervolume_figure(run), folder / "hypervolume.png")
     write_figure(front_figure(run), folder / "front.png")
     return run
@@ -63,8 +65,8 @@ def print_report(run: RecordedRun, console: Console) -> None:
 
 
 def _front_table(run: RecordedRun, *groups: NDArray[np.int64]) -> Table:
-    front = run.objectives[run.front]
-    best = (front * run.signs).min(axis=0) * run.signs
+    values = dict(zip(run.front.tolist(), run.front_objectives, strict=True))
+    best = (run.front_objectives * run.signs).min(axis=0) * run.signs
     table = Table(box=box.SIMPLE, padding=(0, 1, 0, 0), show_footer=True, footer_style="dim")
     table.add_column("index", footer="reference", justify="right", style="dim", no_wrap=True)
     for objective in run.problem.objectives:
@@ -76,7 +78,7 @@ def _front_table(run: RecordedRun, *groups: NDArray[np.int64]) -> Table:
         )
     for rows in groups:
         for row in rows:
-            table.add_row(str(run.indices[row]), *_cells(run.objectives[row], best))
+            table.add_row(str(row), *_cells(values[row], best))
         table.add_section()
     return table
 
@@ -93,7 +95,7 @@ def _headline(run: RecordedRun) -> Text:
         ("run ", "dim"),
         (run.run_id, "bold"),
         f"   {len(run.indices)} evaluations, {np.count_nonzero(run.feasible)} feasible, "
-        f"{np.count_nonzero(~run.valid)} failed   ({run.stop_reason})\n",
+        f"{np.count_nonzero(run.failed)} failed   ({run.stop_reason})\n",
         "hypervolume ",
         (f"{run.hypervolume:.6g}", "bold green"),
         f"   {len(run.front)} points on the Pareto front",

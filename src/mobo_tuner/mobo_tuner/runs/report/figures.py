@@ -78,7 +78,7 @@ def hypervolume_figure(run: RecordedRun) -> Figure:
         for kind, marker, color, size, label in (
             (grew, "o", _BLUE, 22, "front grew"),
             (run.valid & ~run.feasible, "x", _ORANGE, 32, "infeasible"),
-            (~run.valid, "X", _RED, 48, "failed"),
+            (run.failed, "X", _RED, 48, "failed"),
         ):
             if kind.any():
                 axes.scatter(
@@ -190,7 +190,7 @@ def _draw_plane(axes: Axes, run: RecordedRun) -> PathCollection | None:
     """Draw two objectives; return the points that carry the colour of their index, if any."""
     names = run.problem.objective_names
     signs_of_all = np.array([objective.sign for objective in run.problem.objectives])
-    columns = list(conflicting_pair(run.objectives[run.front] * signs_of_all))
+    columns = list(conflicting_pair(run.front_objectives * signs_of_all))
     across, up = (run.problem.objectives[column] for column in columns)
     axes.set_title(f"run {run.run_id}: {len(run.front)} points on the Pareto front")
     axes.set_xlabel(_label(across))
@@ -215,7 +215,7 @@ def _draw_plane(axes: Axes, run: RecordedRun) -> PathCollection | None:
         linewidths=0,
     )
     points.set_clim(0, max(run.indices[-1], 1))
-    front = xy[run.front]
+    front = run.front_objectives[:, columns]
     if len(front):
         projected = front[is_nondominated(front * signs)]
         steps = staircase(projected * signs, reference * signs) * signs

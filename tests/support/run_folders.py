@@ -1,0 +1,86 @@
+"""Run folders with a made-up journal, for tests of what is made of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mobo_tuner.core.problem import Problem
+from mobo_tuner.runs.journal import Journal
+from mobo_tuner.runs.records import StartRecord, to_json
+
+TWO = {
+    "variables": {"x1": {"min": 0.0, "max": 4.0, "unit": "A"}},
+    "objectives": {
+        "f1": {"reference": 10.0, "unit": "mm"},
+        "f2": {"reference": 10.0, "direction": "minimize"},
+    },
+    "constraints": {"f2": {"min": 1.5}},
+}
+
+
+def evaluation(index: int, values: dict[str, float], **fields: Any) -> dict[str, Any]:
+    """A record; the uncertainty of the values is unknown."""
+    return {
+        "type": "evaluation",
+        "index": index,
+        "source": "initial" if index < 2 else "model",
+        "attempts": 1,
+        "stamp": 1000.0 + index,
+        "setpoint": {"x1": 0.5 * index},
+        "readbacks": {"x1": 0.5 * index},
+        "diagnostics": {name: [value, None] for name, value in values.items()},
+        "valid": True,
+        "feasible": True,
+        "non_dominated": False,
+        "error_code": 0,
+        "error_msg": "",
+        "hypervolume": 10.0 * index,
+        "hypervolume_measured": 9.0 * index,
+        "suggest_seconds": 0.5,
+        "machine_seconds": 0.25,
+        "total_seconds": 0.76,
+        **fields,
+    }
+
+
+def write_run(
+    folder: Path,
+    evaluations: Sequence[dict[str, Any]],
+    problem: dict[str, Any] | None = None,
+    end: dict[str, Any] | None = None,
+) -> Path:
+    """A run folder with its journal."""
+    start = StartRecord(
+        "run1",
+        1000.0,
+        Problem.from_dict(problem or TWO),
+        {"seed": 3, "preset": "default", "model_input": "setpoint"},
+    )
+    with Journal.create(folder, [to_json(start)]) as journal:
+        for record in evaluations:
+            names = start.problem.variable_names
+            if problem is not None and record["setpoint"].keys() != {*names}:
+                record = record | {"setpoint": dict.fromkeys(names, 0.0)}
+            journal.append(record)
+        if end is not None:
+            journal.append({"type": "end", "stamp": None, "error_code": 0, "error_msg": "", **end})
+    return folder
+
+
+def seven_objectives(folder: Path, count: int) -> Path:
+    """A front of `count` points in seven objectives: all on a plane, so none is dominated."""
+    names = ("sigma_x", "sigma_y", "sigma_z", "eps_x", "eps_y", "eps_z", "dE")
+    problem = {
+        "variables": {f"K{i}": {"min": 0.0, "max": 1.0, "unit": "A"} for i in range(6)},
+        "objectives": {name: {"reference": 1500.0, "unit": "mm mrad"} for name in names},
+    }
+    points = np.random.default_rng(1).dirichlet(np.ones(len(names)), count) * 1234.5
+    records = [
+        evaluation(i, dict(zip(names, map(float, point), strict=True)))
+        for i, point in enumerate(points)
+    ]
+    return write_run(folder, records, problem, {"stop_reason": "budget"})
