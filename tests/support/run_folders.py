@@ -78,9 +78,16 @@ def seven_objectives(folder: Path, count: int) -> Path:
         "variables": {f"K{i}": {"min": 0.0, "max": 1.0, "unit": "A"} for i in range(6)},
         "objectives": {name: {"reference": 1500.0, "unit": "mm mrad"} for name in names},
     }
-    points = np.random.default_rng(1).dirichlet(np.ones(len(names)), count) * 1234.5
+    rng = np.random.default_rng(1)
+    setpoints = rng.random((count, 6))
+    shares = np.exp(setpoints @ rng.normal(size=(6, len(names))))
+    points = 1234.5 * shares / shares.sum(axis=1)[:, None]
     records = [
-        evaluation(i, dict(zip(names, map(float, point), strict=True)))
-        for i, point in enumerate(points)
+        evaluation(
+            i,
+            dict(zip(names, point, strict=True)),
+            setpoint={f"K{j}": value for j, value in enumerate(setpoint)},
+        )
+        for i, (point, setpoint) in enumerate(zip(points.tolist(), setpoints.tolist(), strict=True))
     ]
     return write_run(folder, records, problem, {"stop_reason": "budget"})

@@ -50,7 +50,11 @@ def test_the_summary(mixed: Path) -> None:
         "reference_point": {"f1": 10.0, "f2": 10.0},
         "units": {"x1": "A", "f1": "mm", "f2": ""},
     }
-    certain = {"stddevs": {"f1": 0.0, "f2": 0.0}, "predicted": []}
+    certain: dict[str, Any] = {
+        "probability": 1.0,
+        "stddevs": {"f1": 0.0, "f2": 0.0},
+        "predicted": [],
+    }
     assert front == [
         {"index": 0, "setpoint": {"x1": 0.0}, "objectives": {"f1": 5.0, "f2": 5.0}, **certain},
         {"index": 2, "setpoint": {"x1": 1.0}, "objectives": {"f1": 2.0, "f2": 8.0}, **certain},
