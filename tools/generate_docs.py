@@ -56,7 +56,9 @@ QOS = {
 }
 QOS_NOTE = """\
 Latched: reliable, transient local, depth 1; a late subscriber receives the last message at once. Kept: the same with
-depth 1000; a late subscriber that requests transient local, such as the recorder, also receives the earlier messages.
+depth 1000; a late subscriber that requests transient local, such as the recorder, also receives the earlier messages,
+the oldest first: `ros2 topic echo --once` shows the newest evaluation on `latest_evaluation`, and the next one on
+`evaluation` with `--qos-durability volatile`.
 Stream: reliable, volatile, depth 100. All names without a leading slash are relative: they follow namespaces and
 remappings. The declarations are in [ros/interfaces.py](../src/mobo_tuner/mobo_tuner/ros/interfaces.py) and, for the
 simulated machine, in [awa_sim_node/interfaces.py](../src/awa_sim_node/awa_sim_node/interfaces.py); the nodes make their
@@ -237,7 +239,7 @@ def _value(value: ParameterValue) -> str:
 def preset_file(name: str) -> str:
     """Return the text of config/presets/<name>.yaml: every choice of a preset."""
     choices = json.loads(json.dumps(PRESETS[name].to_dict()))
-    section = {"tuner": {"ros__parameters": choices}}
+    section = {"/**/tuner": {"ros__parameters": choices}}
     return PRESET_NOTE.format(name=name) + yaml.safe_dump(section, sort_keys=False)
 
 

@@ -1,6 +1,7 @@
 """Packaging of awa_sim_node, for pip and for colcon (ament_python)."""
 
 import sys
+from glob import glob
 
 from setuptools import find_packages, setup
 
@@ -9,6 +10,7 @@ NAME = "awa_sim_node"
 data_files = [
     ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
     (f"share/{NAME}", ["package.xml"]),
+    (f"share/{NAME}/launch", sorted(glob("launch/*.launch.xml"))),
 ]
 if "bdist_wheel" in sys.argv:  # colcon puts the executable there by setup.cfg, pip does not
     data_files.append((f"lib/{NAME}", ["wrappers/awa_sim"]))

@@ -20,6 +20,7 @@ EXTRAS = {
 data_files = [
     ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
     (f"share/{NAME}", ["package.xml"]),
+    (f"share/{NAME}/launch", sorted(glob("launch/*.launch.xml"))),
     (f"share/{NAME}/config", sorted(glob("../../config/*.yaml"))),
     (f"share/{NAME}/config/presets", sorted(glob("../../config/presets/*.yaml"))),
 ]

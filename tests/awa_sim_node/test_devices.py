@@ -150,7 +150,7 @@ def test_the_interlock_refuses_everything_until_it_is_cleared(
     spin_until(lambda: interlock.data[-1] is False, "the interlock to be gone")
     spin_until(lambda: machine_level() == DiagnosticStatus.OK, "the end of the alarm")
     values = {v.key: v.value for s in health.messages[-1].status for v in s.values}
-    assert (values["measurements"], values["failed measurements"]) == ("3", "2")
+    assert (values["evaluations"], values["failed evaluations"]) == ("3", "2")
     assert "not raised" in services.call(Trigger, "clear_interlock").message
 
 

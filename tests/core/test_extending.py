@@ -25,7 +25,7 @@ from mobo_tuner.core.kernels import KERNELS
 from mobo_tuner.tuner.parameters import check_tuner, tuner_specs
 import yaml
 
-section = yaml.safe_load(SECTION)["tuner"]["ros__parameters"]
+section = yaml.safe_load(SECTION)["/**/tuner"]["ros__parameters"]
 values = check_tuner(section)
 assert values["maximizer_settings"] == {"points": 500, "spread": 0.1}
 (points,) = (s for s in tuner_specs(section) if s.name == "maximizer_settings.points")

@@ -49,6 +49,13 @@ def test_an_evaluation_must_be_newer_than_the_last_one_of_its_run(
     assert finished.refusal("a", index, attempt) == ""
 
 
+def test_evaluations_by_hand_without_a_run_are_never_duplicates() -> None:
+    finished = FinishedEvaluations()
+    for _ in range(3):
+        assert finished.refusal("", 0, 0) == ""
+        finished.add("", 0, 0)
+
+
 def test_only_so_many_runs_are_remembered() -> None:
     finished = FinishedEvaluations()
     for number in range(MAX_RUNS + 1):

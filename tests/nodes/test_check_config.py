@@ -46,8 +46,8 @@ def config() -> dict[str, Any]:
 
 
 def test_every_shipped_file_is_good_and_chooses_its_machine() -> None:
-    mappings = {path.name for path in CONFIG.glob("bridge_*")}
-    assert {path.name for path in CONFIG.glob("*.yaml")} - mappings == {*SHIPPED}
+    others = {"analyzers.yaml", *(path.name for path in CONFIG.glob("bridge_*"))}
+    assert {path.name for path in CONFIG.glob("*.yaml")} - others == {*SHIPPED}
     for name, section in SHIPPED.items():
         configuration = check(CONFIG / name)
         assert configuration.problem.objectives
@@ -87,7 +87,7 @@ def test_every_shipped_file_is_good_and_chooses_its_machine() -> None:
 def test_a_mistake_is_named_in_one_sentence(
     config: dict[str, Any], tmp_path: Path, section: str, path: str, value: Any, sentence: str
 ) -> None:
-    branch = config[section]["ros__parameters"]
+    branch = config[section if section == "/**" else f"/**/{section}"]["ros__parameters"]
     *parents, leaf = path.split(".")
     for key in parents:
         branch = branch[key]
@@ -106,7 +106,7 @@ def foreign(tmp_path: Path) -> dict[str, Any]:
     (tmp_path / "mappings").mkdir()
     shutil.copy(CONFIG / "bridge_foreign.yaml", tmp_path / "mappings" / "lab.yaml")
     content = load_yaml(CONFIG / "foreign.yaml")
-    content["machine_bridge"]["ros__parameters"]["mapping"] = "mappings/lab.yaml"
+    content["/**/machine_bridge"]["ros__parameters"]["mapping"] = "mappings/lab.yaml"
     return content
 
 
@@ -128,7 +128,7 @@ def test_the_mapping_of_a_bridge_is_relative_to_the_parameter_file(
 def test_a_bridge_without_a_good_mapping_is_refused(
     foreign: dict[str, Any], tmp_path: Path, mapping: object, named: str
 ) -> None:
-    foreign["machine_bridge"]["ros__parameters"]["mapping"] = mapping
+    foreign["/**/machine_bridge"]["ros__parameters"]["mapping"] = mapping
     with pytest.raises(UserError, match=named):
         check(written(foreign, tmp_path / "bad.yaml"))
 
@@ -152,18 +152,18 @@ def test_two_machines_are_refused(foreign: dict[str, Any], tmp_path: Path) -> No
 
 
 def test_an_unknown_section_is_named(config: dict[str, Any], tmp_path: Path) -> None:
-    config["tunner"] = config.pop("tuner")
+    config["tunner"] = config.pop("/**/tuner")
     file = written(config, tmp_path / "bad.yaml")
     with pytest.raises(UserError, match="the section 'tunner' is unknown; allowed are"):
         check(file)
-    del config["awa_sim"]
+    del config["/**/awa_sim"]
     file = written(config, tmp_path / "bad.yaml")
     with pytest.raises(UserError, match="'tunner' is unknown; did you mean 'tuner'"):
         check(file, program="python mine.py")
 
 
 def test_a_program_may_have_a_section_of_its_own(config: dict[str, Any], tmp_path: Path) -> None:
-    config["my_machine"] = config.pop("awa_sim")
+    config["my_machine"] = config.pop("/**/awa_sim")
     file = written(config, tmp_path / "file.yaml")
     configuration = check(file, program="python mine.py")
     assert (configuration.section, configuration.program) == ("", "python mine.py")
@@ -209,7 +209,7 @@ def test_a_copy_names_the_copies_of_files_from_elsewhere(
 ) -> None:
     mapping = tmp_path / elsewhere.format(tmp_path)
     shutil.copy(CONFIG / "bridge_foreign.yaml", mapping)
-    foreign["machine_bridge"]["ros__parameters"]["mapping"] = elsewhere.format(
+    foreign["/**/machine_bridge"]["ros__parameters"]["mapping"] = elsewhere.format(
         tmp_path / "mappings"
     )
     shutil.copy(CONFIG / "bridge_foreign.yaml", tmp_path / "mappings" / "lab.yaml")

@@ -1,4 +1,4 @@
-"""The executables stand where `ros2 run` looks for them, also after a plain pip install."""
+"""The executables: where `ros2 run` looks for them, their help, and the slips that they refuse."""
 
 from __future__ import annotations
 
@@ -8,6 +8,13 @@ import sys
 from pathlib import Path
 
 import pytest
+
+from awa_sim_node.parameters import AWA_SIM
+from mobo_tuner.bridge.describe import MACHINE_BRIDGE
+from mobo_tuner.nodes.parameters import CONSOLE, RECORDER
+from mobo_tuner.parameter_spec import ParameterSpec
+from mobo_tuner.tuner.parameters import TUNER
+from tests.support.paths import CONFIG
 
 PREFIX = Path(sys.prefix)
 # Each started in a way that it must refuse at once, in a sentence of its own.
@@ -19,6 +26,18 @@ EXECUTABLES = {
     ("mobo_tuner", "console"): (["-p", "evaluations:=-1"], "evaluations is -1"),
     ("awa_sim_node", "awa_sim"): (["-p", "model:=lcls"], "model is 'lcls'"),
 }
+NODES: dict[str, tuple[str, tuple[ParameterSpec, ...]]] = {
+    "tuner": ("mobo_tuner.nodes.tuner", TUNER),
+    "recorder": ("mobo_tuner.nodes.recorder", RECORDER),
+    "console": ("mobo_tuner.nodes.console", CONSOLE),
+    "machine_bridge": ("mobo_tuner.nodes.machine_bridge", MACHINE_BRIDGE),
+    "awa_sim": ("awa_sim_node.node", AWA_SIM),
+}
+TOY = ["--ros-args", "--params-file", str(CONFIG / "toy.yaml")]
+
+
+def run(*command: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
 @pytest.mark.usefixtures("ros_domain")
@@ -30,13 +49,66 @@ def test_an_executable_starts_from_where_ros2_run_looks(package: str, name: str)
     executable = PREFIX / "lib" / package / name
     assert os.access(executable, os.X_OK)
     arguments, sentence = EXECUTABLES[package, name]
-    done = subprocess.run(
-        [str(executable), "--ros-args", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    done = run(str(executable), "--ros-args", *arguments)
     assert done.returncode == 2
     assert sentence in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_help_shows_every_parameter_and_ends_with_0(node: str) -> None:
+    module, specs = NODES[node]
+    done = run(sys.executable, "-m", module, "--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith(f"usage: {node} ")
+    for spec in specs:
+        mark = " *" if spec.writable else ""
+        where = next(i for i, line in enumerate(lines) if line.startswith(f"  {spec.name}{mark}: "))
+        assert spec.type_name in lines[where]
+        assert spec.range_text in lines[where]
+        assert "default" in lines[where]
+        assert lines[where + 1].strip() == spec.description
+
+
+def test_help_of_steer_ends_with_0() -> None:
+    done = run(sys.executable, "-m", "mobo_tuner.nodes.steer", "--help")
+    assert done.returncode == 0
+    assert "pause" in done.stdout
+
+
+# A name that nobody knows, and the nearest right one.
+MISSPELT = {
+    "tuner": ("on_abrt:=restore", "on_abort"),
+    "recorder": ("bag_pth:=x", "bag_path"),
+    "console": ("resume_form:=x", "resume_from"),
+    "machine_bridge": ("maping:=x", "mapping"),
+    "awa_sim": ("sped:=5.0", "speed"),
+}
+
+
+@pytest.mark.usefixtures("ros_domain")
+@pytest.mark.parametrize("node", NODES)
+def test_a_slip_is_refused_with_the_nearest_right_name(node: str) -> None:
+    module, _ = NODES[node]
+    given, right = MISSPELT[node]
+    done = run(sys.executable, "-m", module, *TOY, "-p", given)
+    assert done.returncode == 2
+    name = given.partition(":=")[0]
+    assert f"'{name}' is unknown in the node; did you mean '{right}'?" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.usefixtures("ros_domain")
+def test_what_is_not_a_ros_argument_is_refused() -> None:
+    done = run(sys.executable, "-m", "mobo_tuner.nodes.tuner", "--config", "toy.yaml")
+    assert done.returncode == 2
+    assert "'--config' is unknown" in done.stderr
+
+
+@pytest.mark.usefixtures("ros_domain")
+def test_a_run_without_a_journal_must_be_asked_for() -> None:
+    done = run(sys.executable, "-m", "mobo_tuner.nodes.tuner", *TOY, "-p", "runs_dir:=''")
+    assert done.returncode == 2
+    assert "runs_dir is empty" in done.stderr
+    assert "journal" in done.stderr

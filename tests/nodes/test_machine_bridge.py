@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
@@ -21,8 +22,9 @@ from sensor_msgs.msg import JointState
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint, Tune
 from mobo_msgs_py.srv import DescribeMachine
+from mobo_tuner.ros.qos import STREAM
 from tests.support.processes import NodeProcess, NodeStarter
-from tests.support.tuner import CONFIG, GoalClient, machine_client, tune_client
+from tests.support.tuner import CONFIG, GoalClient, Listener, machine_client, tune_client
 
 RESULT = EvaluateSetpoint.Result
 EXAMPLE = Path(__file__).parents[2] / "examples" / "foreign_machine.py"
@@ -167,6 +169,13 @@ UNSEEN_AT_REST = ("doubled", "deaf")
 
 def test_every_fault_at_rest_ends_as_documented(start: Callable[..., Bridged]) -> None:
     machine = start(impatient)
+    health = Listener(machine.node, DiagnosticArray, "/diagnostics", STREAM)
+
+    def faults() -> list[str]:
+        """What the latest message on /diagnostics complains about."""
+        latest = health.messages[-1].status if health.messages else []
+        return [s.message for s in latest if s.level != DiagnosticStatus.OK]
+
     for fault, (code, sentence, moves) in FAULTS.items():
         machine.fault(fault)
         deadline = time.monotonic() + 10.0
@@ -182,8 +191,17 @@ def test_every_fault_at_rest_ends_as_documented(start: Callable[..., Bridged]) -
         assert all(math.isnan(d.value) == (fault == "unlit") for d in result.diagnostics)
         # Refused, the goal has no readbacks: nobody asked the machine for any.
         assert {r.name for r in result.readbacks} == ({"x1", "x2"} if moves else set())
+        told = sentence.partition(" gave no value for")[0]
+        if told:
+            machine.spin_until(
+                lambda: any(told in text for text in faults()),  # noqa: B023
+                f"{fault} on /diagnostics: {faults()}",
+            )
         machine.fault("none")
         machine.until_ready()
+        machine.spin_until(lambda: health.messages and not faults(), f"the end of {fault}")
+    parts = {s.name.partition(": ")[2] for s in health.messages[-1].status}
+    assert parts == {"machine", "variables", "interlocks", "connections"}
     assert "Traceback" not in machine.bridge.stderr
 
 

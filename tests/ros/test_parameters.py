@@ -18,10 +18,12 @@ from mobo_tuner.errors import ParameterError
 from mobo_tuner.parameter_file import check_section, flat
 from mobo_tuner.parameter_spec import ParameterSpec
 from mobo_tuner.ros.parameters import (
+    as_node_arguments,
     declare,
     given_parameters,
+    refuse_undeclared,
     refuse_unknown,
-    with_parameters_first,
+    take_given,
 )
 
 SPECS = (
@@ -41,7 +43,7 @@ DEFAULTS = {spec.name: spec.default for spec in SPECS}
 def node_with(domain: int, *arguments: str, name: str = "tuner") -> Iterator[Node]:
     """A node that is started with a command line."""
     context = Context()
-    with with_parameters_first(["program", *arguments]) as words:
+    with as_node_arguments(["program", *arguments], name) as words:
         rclpy.init(args=words, context=context, domain_id=domain)
     node = Node(name, context=context, automatically_declare_parameters_from_overrides=True)
     try:
@@ -163,3 +165,80 @@ def test_a_value_that_is_not_allowed_is_refused(ros_domain: int) -> None:
     for text, name in (("count:=0", "count"), ("scales:=x", "scales"), ("open:=1", "open")):
         with pytest.raises(ParameterError, match=name):
             declared(ros_domain, "--ros-args", "-p", text)
+
+
+REMAPPED = (
+    (),
+    ("-r", "__ns:=/A"),
+    ("-r", "__node:=tuner2"),
+    ("-r", "tuner:__node:=tuner2", "-r", "__ns:=/A/B"),
+)
+
+
+@pytest.mark.parametrize("section", ["tuner", "/tuner", "/**/tuner"])
+@pytest.mark.parametrize("remapping", REMAPPED, ids=" ".join)
+def test_the_nodes_own_section_holds_under_any_name(
+    ros_domain: int, tmp_path: Path, section: str, remapping: tuple[str, ...]
+) -> None:
+    content = {
+        "/**": {"ros__parameters": {"count": 4, "speed": 5.0}},
+        section: {"ros__parameters": {"count": 6, "weights": [0.5, 1e-7]}},
+        "recorder": {"ros__parameters": {"folder": "/not/for/the/tuner"}},
+    }
+    file = tmp_path / "a.yaml"
+    file.write_text(yaml.safe_dump(content))
+    expected = DEFAULTS | {"count": 6, "speed": 5.0, "weights": (0.5, 1e-7)}
+    line = ["--ros-args", *remapping, "--params-file", str(file)]
+    assert declared(ros_domain, *line) == expected
+    assert declared(ros_domain, *line, "-p", "count:=9")["count"] == 9
+    assert declared(ros_domain, *line, "-p", "tuner:count:=9")["count"] == 9
+    assert declared(ros_domain, *line, "-p", "other:count:=9")["count"] == 6
+
+
+def test_a_section_for_the_full_name_wins_over_that_of_the_original_name(
+    ros_domain: int, tmp_path: Path
+) -> None:
+    content = {
+        "tuner": {"ros__parameters": {"count": 6}},
+        "/A/*": {"ros__parameters": {"speed": 7.0}},
+    }
+    file = tmp_path / "a.yaml"
+    file.write_text(yaml.safe_dump(content))
+    line = ["--ros-args", "--params-file", str(file)]
+    assert declared(ros_domain, *line)["count"] == 6
+    values = declared(ros_domain, *line, "-r", "__ns:=/A")
+    assert (values["count"], values["speed"]) == (DEFAULTS["count"], 7.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "section", "sentence"),
+    [
+        ("conut", "/**/tuner", "'conut' is unknown in the node; did you mean 'count'"),
+        ("below.that", "/**/tuner", "'below.that' is unknown in the node; did you mean"),
+        ("objectives.f1", "/**/tuner", "'objectives.f1' is unknown"),
+        ("conut", "/**", "'conut' is unknown in the node; did you mean 'count'"),
+        ("objectives.f1", "/**", ""),
+        ("count", "/**/recorder", ""),
+    ],
+)
+def test_an_undeclared_parameter_is_refused_unless_it_may_be_another_nodes(
+    ros_domain: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    section: str,
+    sentence: str,
+) -> None:
+    file = written(tmp_path / "a.yaml", {name: 3, "count": 4}, section)
+    line = ["--ros-args", "--params-file", file, "-p", "use_sim_time:=true"]
+    monkeypatch.setattr("sys.argv", ["program", *line])
+    with node_with(ros_domain, *line) as node:
+        given = take_given(node)
+        assert not node.has_parameter("count")
+        expected = DEFAULTS["count"] if section == "/**/recorder" else 4
+        assert declare(node, SPECS)["count"] == expected
+        if sentence:
+            with pytest.raises(ParameterError, match=sentence):
+                refuse_undeclared(node, given)
+        else:
+            refuse_undeclared(node, given)

@@ -15,7 +15,7 @@ from tests.support.processes import NodeProcess
 NODE = """
 import ctypes, sys, time
 from rclpy.node import Node
-from mobo_tuner.ros.process import exit_process, run_node
+from mobo_tuner.ros.process import Program, exit_process, run_node
 
 class Stubborn:
     exit_code = None
@@ -30,7 +30,7 @@ class Stubborn:
     def close(self):
         {hang}
 
-exit_process(run_node(Stubborn))
+exit_process(run_node(Stubborn, Program("stubborn")))
 """
 
 

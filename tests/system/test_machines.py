@@ -100,7 +100,10 @@ def lab(
     name, options, elsewhere, node = KINDS[request.param]
     content = yaml.safe_load((ROOT / "config" / name).read_text())
     # So that a run whose machine is gone does not wait for it for a minute.
-    content["tuner"]["ros__parameters"] |= {"machine_return_timeout": 1.0, "machine_timeout": 2.0}
+    content["/**/tuner"]["ros__parameters"] |= {
+        "machine_return_timeout": 1.0,
+        "machine_timeout": 2.0,
+    }
     bridge = content.get("machine_bridge", {}).get("ros__parameters")
     if bridge:
         mapping = tmp_path / bridge["mapping"]
@@ -198,8 +201,8 @@ def test_a_run_in_which_every_evaluation_failed_did_not_go_well(
 def slow_injector(tmp_path: Path) -> Path:
     """A parameter file with a machine that goes back after a cancel, for some seconds."""
     content = yaml.safe_load((ROOT / "config" / "awa.yaml").read_text())
-    content["awa_sim"]["ros__parameters"] |= {"mode": "ideal", "speed": 4.0}
-    content["tuner"]["ros__parameters"]["on_abort"] = "restore"
+    content["/**/awa_sim"]["ros__parameters"] |= {"mode": "ideal", "speed": 4.0}
+    content["/**/tuner"]["ros__parameters"]["on_abort"] = "restore"
     config = tmp_path / "slow.yaml"
     config.write_text(yaml.safe_dump(content))
     return config

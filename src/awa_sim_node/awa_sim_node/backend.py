@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from rclpy.node import Node
 
+from awa_sim_node.health import actuators_health, beam_health
 from awa_sim_node.machine import (
     MAX_SHOTS,
     Cause,
@@ -30,6 +31,7 @@ from mobo_tuner.machine.backend import (
     Operation,
 )
 from mobo_tuner.ros.conversions import named_values
+from mobo_tuner.ros.diagnostics import Health
 from mobo_tuner.ros.waiting import first_of
 
 STEP_PERIOD = 0.1  # [s] of wall time, at most
@@ -116,6 +118,13 @@ class SimulatedBackend(MachineBackend):
         """Stop the machine where it is and end a running measurement."""
         if self.machine is not None:
             self.machine.stop()
+
+    def parts(self) -> Mapping[str, Callable[[], Health]]:
+        """Return functions for the health of the beam and the actuators."""
+        return {
+            "beam": lambda: beam_health(self.machine),
+            "actuators": lambda: actuators_health(self.machine, self.simulated_time),
+        }
 
     def advance(self) -> None:
         """Advance the simulated machine by the time that has passed since the last call."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import qos_profile_system_default
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, Float64
@@ -47,13 +46,6 @@ TRUTH = Topic(
     NODE,
     "True values of every shot, for tests; only with `publish_truth`.",
 )
-DIAGNOSTICS = Topic(
-    "/diagnostics",
-    DiagnosticArray,
-    STREAM,
-    NODE,
-    "Health of the machine, the beam and the devices, at 1 Hz.",
-)
 CLOCK = Topic(
     "/clock",
     Clock,
@@ -69,7 +61,6 @@ TOPICS = (
     INTERLOCK,
     MODEL_UNCERTAINTY,
     TRUTH,
-    DIAGNOSTICS,
     CLOCK,
 )
 

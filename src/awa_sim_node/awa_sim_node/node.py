@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
@@ -17,15 +16,14 @@ from awa_sim_node import interfaces
 from awa_sim_node.backend import SimulatedBackend
 from awa_sim_node.beam_topics import BeamTopics
 from awa_sim_node.devices import Devices
-from awa_sim_node.health import Health
 from awa_sim_node.machine import EvaluationResult, SimulatedMachine, behaviour_of, describe
 from awa_sim_node.machine.behaviour import Mode
 from awa_sim_node.parameters import AWA_SIM, behaviour_specs
 from mobo_tuner.machine.node import MachineNode
 from mobo_tuner.ros.parameters import declare
-from mobo_tuner.ros.process import exit_process, run_node
+from mobo_tuner.ros.process import Program, exit_process, run_node
+from mobo_tuner.ros.waiting import STEADY_CLOCK
 
-HEALTH_PERIOD = 1.0  # [s]
 CLOCK_PERIOD = 0.05  # [s] of wall time
 
 
@@ -52,13 +50,11 @@ class AwaSim(MachineNode):
         description = describe(str(self._values["model"]))
         self._devices = Devices(self, self._simulated, self.server)
         self._beam = BeamTopics(self, description, bool(self._values["publish_truth"]))
-        self._health = Health(self, self._simulated)
         self._last_free_shot = 0.0
         self._simulated.on_shot = self._beam.publish
         self._simulated.on_step = self._devices.publish_changes
         self._simulated.on_measured = self._measured
         self._every(1.0 / float(self._values["stream_rate"]), self._stream)
-        self._every(HEALTH_PERIOD, self._health.publish)
         if self._values["publish_clock"]:
             self._began = time.time()
             self._clock_publisher = interfaces.CLOCK.publisher(self)
@@ -120,7 +116,7 @@ class AwaSim(MachineNode):
 
     def _every(self, period: float, callback: Callable[[], Any]) -> None:
         # Streams run in wall time, whatever the speed of the simulation.
-        self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(period, callback, clock=STEADY_CLOCK)
 
     def _stream(self) -> None:
         """Advance time, publish the devices, and take a free-running shot between evaluations."""
@@ -138,9 +134,7 @@ class AwaSim(MachineNode):
             self._beam.publish(shot)
             self._devices.publish_changes()
 
-    def _measured(self, result: EvaluationResult) -> None:
-        self._health.evaluations += 1
-        self._health.failures += result.failure is not None
+    def _measured(self, _: EvaluationResult) -> None:
         if self._simulated.machine is not None:
             self._beam.publish_uncertainty(self._simulated.machine.spread())
 
@@ -155,7 +149,13 @@ class AwaSim(MachineNode):
 
 def main() -> None:
     """Run the simulated machine's node."""
-    exit_process(run_node(AwaSim))
+    program = Program(
+        "awa_sim",
+        "Simulates a machine to tune: the AWA injector, or the paper's toy problem.",
+        (*AWA_SIM, *behaviour_specs("awa", "nominal")),
+        "The defaults of the behaviour (those with a dot) are those of the mode 'nominal'.",
+    )
+    exit_process(run_node(AwaSim, program))
 
 
 if __name__ == "__main__":

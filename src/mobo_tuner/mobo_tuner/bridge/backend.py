@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 
 from rclpy.executors import Executor
@@ -17,6 +17,7 @@ from mobo_tuner.bridge.signals import Signals
 from mobo_tuner.machine.backend import Failure, Measurement, Operation
 from mobo_tuner.machine.ramp import RampSettings
 from mobo_tuner.machine.ramped import RampedBackend
+from mobo_tuner.ros.diagnostics import ERROR, OK, STALE, Health
 
 _Result = EvaluateSetpoint.Result
 
@@ -83,6 +84,33 @@ class BridgeBackend(RampedBackend):
         """Return which part of the control system is missing."""
         problems = [output.problem for output in self._outputs] + self._measuring.problems()
         return next((problem for problem in problems if problem), "")
+
+    def parts(self) -> Mapping[str, Callable[[], Health]]:
+        """Return functions for the health of the variables, interlocks and connections."""
+        return {
+            **super().parts(),
+            "interlocks": self._interlocks_health,
+            "connections": self._connections_health,
+        }
+
+    def _interlocks_health(self) -> Health:
+        """Whether each interlock permits to move."""
+        values = {
+            name: f"unknown: {signal.problem}"
+            if signal.problem
+            else ("permits" if signal.latest else "forbids")
+            for name, signal in self._interlocks.items()
+        }
+        failure = self.forbidden()
+        if failure is None:
+            return Health(OK, f"{len(values)} interlocks permit to move", values)
+        level = ERROR if failure.code == _Result.INTERLOCK else STALE
+        return Health(level, failure.message, values)
+
+    def _connections_health(self) -> Health:
+        """Whether everything that is sent to or called is there."""
+        missing = self.missing()
+        return Health(STALE, missing) if missing else Health(OK, "nothing is missing")
 
     async def send(self, setpoint: Mapping[str, float], operation: Operation) -> Failure | None:
         """Send the set-point of one step; a service or an action must answer."""

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rclpy.task import Future
@@ -17,14 +17,13 @@ from mobo_tuner.bridge.interface_types import FieldError, check_readable, check_
 from mobo_tuner.bridge.mapping import Condition, Endpoint, Target
 from mobo_tuner.ros.conversions import seconds
 from mobo_tuner.ros.qos import LATCHED
-from mobo_tuner.ros.waiting import first_of
+from mobo_tuner.ros.waiting import STEADY_CLOCK, first_of
 
 _QOS = {
     "reliable": QoSProfile(depth=100),
     "best_effort": qos_profile_sensor_data,
     "latched": LATCHED,
 }
-_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
 class Signal:
@@ -200,7 +199,7 @@ class Signals:
             finally:
                 asking = False
 
-        self._node.create_timer(signal.endpoint.period, tick, clock=_STEADY)
+        self._node.create_timer(signal.endpoint.period, tick, clock=STEADY_CLOCK)
 
 
 def check_fields(endpoint: Endpoint, message_type: Any) -> None:

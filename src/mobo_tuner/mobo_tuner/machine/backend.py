@@ -18,6 +18,7 @@ from rclpy.task import Future
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint
 from mobo_tuner.machine.averaging import MAX_SHOTS
+from mobo_tuner.ros.diagnostics import Health
 
 RAMPING = "ramping"
 SETTLING = "settling"
@@ -169,6 +170,10 @@ class MachineBackend(ABC):
     def refusal(self) -> Failure | None:
         """Return why nothing may move now (INTERLOCK, MACHINE_LOST), or None; optional."""
         return None
+
+    def parts(self) -> Mapping[str, Callable[[], Health]]:
+        """Return functions for the health of further parts of the machine, by name; optional."""
+        return {}
 
     def close(self) -> None:  # noqa: B027 - optional
         """Release what the backend holds, before its node is destroyed; optional."""

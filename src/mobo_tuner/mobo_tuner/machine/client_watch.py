@@ -59,7 +59,7 @@ class FinishedEvaluations:
 
     def refusal(self, run_id: str, index: int, attempt: int) -> str:
         """Why this evaluation must not be made, in one sentence; empty where it may."""
-        last = self._last.get(run_id)
+        last = self._last.get(run_id)  # None if the run has no id: such evaluations are by hand
         if last is None or (index, attempt) > last:
             return ""
         kind = "a duplicate" if (index, attempt) == last else "late"
@@ -69,7 +69,9 @@ class FinishedEvaluations:
         )
 
     def add(self, run_id: str, index: int, attempt: int) -> None:
-        """This evaluation is finished."""
+        """This evaluation is finished; one without a run may be repeated at will."""
+        if not run_id:
+            return
         self._last[run_id] = (index, attempt)
         self._last.move_to_end(run_id)
         while len(self._last) > MAX_RUNS:

@@ -7,7 +7,7 @@ the node configures and activates itself when it starts; nothing moves before a 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from rcl_interfaces.msg import SetParametersResult
@@ -18,11 +18,13 @@ from rclpy.parameter import Parameter
 
 from mobo_msgs_py.action import EvaluateSetpoint
 from mobo_tuner.machine.backend import Failure, MachineBackend
+from mobo_tuner.machine.health import machine_parts
 from mobo_tuner.machine.server import MachineServer
-from mobo_tuner.parameter_spec import AUTOSTART
+from mobo_tuner.parameter_spec import AUTOSTART, ParameterSpec
+from mobo_tuner.ros.diagnostics import Diagnostics
 from mobo_tuner.ros.lifecycle import refuse_unknown_transitions
-from mobo_tuner.ros.parameters import declare
-from mobo_tuner.ros.process import StartError, exit_process, run_node
+from mobo_tuner.ros.parameters import declare, refuse_undeclared, take_given
+from mobo_tuner.ros.process import Program, StartError, exit_process, run_node
 
 NOT_CONFIGURED = "the machine's node is not configured"
 NOT_ACTIVE = "the machine's node is not active"
@@ -48,18 +50,28 @@ class MachineNode(LifecycleNode):
     def __init__(
         self, name: str, executor: Executor, create: Callable[[Node, Executor], MachineBackend]
     ) -> None:
-        super().__init__(name)
+        super().__init__(name, automatically_declare_parameters_from_overrides=True)
         refuse_unknown_transitions(self)
+        given = take_given(self)
         try:
             self.backend = create(self, executor)
             if not self.has_parameter(AUTOSTART.name):
                 declare(self, (AUTOSTART,))
+            refuse_undeclared(self, given)
+        except StartError:
+            try:  # a name may have been misspelt
+                refuse_undeclared(self, given, misspelt=True)
+            finally:
+                self.destroy_node()
+            raise
         except BaseException:
             self.destroy_node()
             raise
         self.add_on_set_parameters_callback(self._refuse_undeclared)
         self.backend.inactive = NOT_CONFIGURED
         self.server = MachineServer(self, self.backend, executor)
+        parts = machine_parts(self, self.backend, self.server)
+        self._diagnostics = Diagnostics(self, self.backend.name, parts)
 
     @property
     def node(self) -> Node:
@@ -88,7 +100,7 @@ class MachineNode(LifecycleNode):
         self.backend.inactive = ""
         self.get_logger().info(
             f"{self.backend.name}: ready with {len(self.backend.variables)} variables and "
-            f"{len(self.backend.diagnostics)} diagnostics"
+            f"{len(self.backend.diagnostics)} diagnostics; it serves {self.server.names}"
         )
         return super().on_activate(state)
 
@@ -135,7 +147,12 @@ class MachineNode(LifecycleNode):
         return SetParametersResult(successful=not unknown, reason=reason)
 
 
-def serve(create: Callable[[Node, Executor], MachineBackend], name: str = "machine") -> NoReturn:
+def serve(
+    create: Callable[[Node, Executor], MachineBackend],
+    name: str = "machine",
+    description: str = "Serves a machine to the tuner.",
+    parameters: Sequence[ParameterSpec] = (AUTOSTART,),
+) -> NoReturn:
     """Run a machine's node as this process until a signal stops it.
 
     Args:
@@ -143,6 +160,8 @@ def serve(create: Callable[[Node, Executor], MachineBackend], name: str = "machi
             the node and its executor. A `ValueError` or `StartError` that it raises ends the
             process with status 2 and the error's message.
         name: Name of the node.
+        description: What the node does, for `--help`.
+        parameters: Parameters that `--help` lists.
     """
 
     def start(executor: Executor) -> MachineNode:
@@ -150,4 +169,4 @@ def serve(create: Callable[[Node, Executor], MachineBackend], name: str = "machi
         node.autostart()
         return node
 
-    exit_process(run_node(start))
+    exit_process(run_node(start, Program(name, description, parameters)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from rclpy.node import Node
@@ -23,6 +23,7 @@ from mobo_tuner.machine.backend import (
     Operation,
 )
 from mobo_tuner.machine.ramp import RampedVariable, RampSettings, count_steps, interpolate
+from mobo_tuner.ros.diagnostics import OK, STALE, Health
 from mobo_tuner.ros.waiting import first_of
 
 WATCH_PERIOD = 0.1  # [s] between two checks of interlocks and readbacks during an operation
@@ -184,6 +185,25 @@ class RampedBackend(MachineBackend):
         if held != self._setpoint:
             self._setpoint = held
             self.send_now(held)
+
+    def parts(self) -> Mapping[str, Callable[[], Health]]:
+        """Return the function for the health of the variables."""
+        return {"variables": self._variables_health}
+
+    def _variables_health(self) -> Health:
+        """Where each variable is and was set to, or why it is not known where it is."""
+        values, problems = {}, {}
+        for name, variable in self.ramped.items():
+            problems[name] = self.readback_problem(name)
+            setpoint = self._setpoint.get(name, math.nan)
+            where = _quantity(self.position(name), variable.unit)
+            values[name] = f"{where} (set {setpoint:g})" if math.isfinite(setpoint) else where
+            if problems[name]:
+                values[name] = f"unknown: {problems[name]}"
+        unknown = [f"the readback of {name} is not known: {p}" for name, p in problems.items() if p]
+        if unknown:
+            return Health(STALE, unknown[0], values)
+        return Health(OK, f"all {len(values)} readbacks are known", values)
 
     # ------------------------------------------------------------------ what subclasses use
 

@@ -12,7 +12,6 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor
 from rclpy.node import Node
 
@@ -31,7 +30,7 @@ from mobo_tuner.machine.goal_checks import check_evaluation, check_setpoint
 from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.action_server import Goal
 from mobo_tuner.ros.conversions import values_of
-from mobo_tuner.ros.waiting import until
+from mobo_tuner.ros.waiting import STEADY_CLOCK, until
 
 FEEDBACK_PERIOD = 0.2  # [s] of wall time
 STOP_TIMEOUT = 1.0  # [s] for a running operation to end
@@ -46,6 +45,12 @@ class MachineServer:
         node: Node that owns these names; `executor` spins it, or will.
         backend: Machine to serve.
         executor: Executor that runs everything, the backend's coroutines included.
+
+    Attributes:
+        evaluations: Number of evaluations that were begun and have ended, canceled ones not counted.
+        failures: Number of those that failed.
+        last_failed: Whether the last of them failed.
+        last_failure: Latest failure of them; None if there was none.
     """
 
     def __init__(self, node: Node, backend: MachineBackend, executor: Executor) -> None:
@@ -57,6 +62,9 @@ class MachineServer:
         self._stopped: Failure | None = None
         self._watch = ClientWatch()
         self._finished = FinishedEvaluations()
+        self.evaluations = self.failures = 0
+        self.last_failed = False
+        self.last_failure: Failure | None = None
         self._service = interfaces.DESCRIBE_MACHINE.server(node, self._describe)
         self._heartbeats = interfaces.HEARTBEAT.subscription(node, self._hear_heartbeat)
         self._servers = [
@@ -64,9 +72,28 @@ class MachineServer:
             interfaces.APPLY_SETPOINT.server(node, self._apply),
         ]
         # On a steady clock, because clients live in wall time, not in simulated time.
-        self._timer = node.create_timer(
-            FEEDBACK_PERIOD, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        self._timer = node.create_timer(FEEDBACK_PERIOD, self._tick, clock=STEADY_CLOCK)
+
+    @property
+    def names(self) -> str:
+        """Full names of what is served, for people."""
+        actions = ("evaluate_setpoint", "apply_setpoint")
+        return ", ".join([*map(self._node.resolve_topic_name, actions), self.describe_name])
+
+    @property
+    def describe_name(self) -> str:
+        """Full name of the service that describes the machine."""
+        return str(self._service.service_name)
+
+    @property
+    def heartbeat_name(self) -> str:
+        """Full name of the topic on which tuners say that they are alive."""
+        return str(self._heartbeats.topic_name)
+
+    @property
+    def phase(self) -> str:
+        """What the machine does now; empty if nothing."""
+        return self._operation.phase if self._operation is not None else ""
 
     @property
     def busy(self) -> bool:
@@ -149,10 +176,21 @@ class MachineServer:
                 failure = await self._fall_back(failure, fallback)
         finally:
             self._end()
+        self._count(failure)
         # A client that canceled, or resumes the run of a lost client, may ask for it again.
         if failure is None or failure.code not in (_Result.CANCELED, _Result.CLIENT_LOST):
             self._finished.add(request.run_id, request.index, request.attempt)
         return failure
+
+    def _count(self, failure: Failure | None) -> None:
+        """Count an evaluation that has ended."""
+        if failure is not None and failure.code == _Result.CANCELED:
+            return
+        self.evaluations += 1
+        self.last_failed = failure is not None
+        if failure is not None:
+            self.failures += 1
+            self.last_failure = failure
 
     async def _apply(self, goal: Goal) -> ApplySetpoint.Result:
         """Serve one goal of `apply_setpoint`; without a set-point it only reads where the machine is."""

@@ -7,7 +7,6 @@ import time
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping
 
-from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.task import Future
@@ -19,6 +18,7 @@ from mobo_tuner.machine.averaging import OutlierRule, average
 from mobo_tuner.machine.backend import MEASURING, Failure, Measurement, Operation
 from mobo_tuner.machine.ramp import RampedVariable, RampSettings
 from mobo_tuner.machine.ramped import RampedBackend
+from mobo_tuner.ros.waiting import STEADY_CLOCK
 from mobo_tuner.ros.worker import Worker
 
 READ_PERIOD = 0.1  # [s] between two readings of the machine
@@ -74,9 +74,7 @@ class SimpleMachine(RampedBackend):
         self._read_error = ""
         self._control = Worker(executor, "control")
         self._camera = Worker(executor, "shots")
-        self._timer = node.create_timer(
-            READ_PERIOD, self._poll, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        self._timer = node.create_timer(READ_PERIOD, self._poll, clock=STEADY_CLOCK)
 
     # ------------------------------------------------------------------ for the subclass
 

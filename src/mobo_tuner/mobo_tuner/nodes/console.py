@@ -16,8 +16,8 @@ from mobo_tuner.displays.console_view import make_view
 from mobo_tuner.errors import UserError
 from mobo_tuner.nodes.parameters import CONSOLE
 from mobo_tuner.ros import interfaces
-from mobo_tuner.ros.parameters import declare
-from mobo_tuner.ros.process import exit_process, run_node
+from mobo_tuner.ros.parameters import declare, refuse_undeclared, take_given
+from mobo_tuner.ros.process import Program, exit_process, run_node
 from mobo_tuner.ros.waiting import until
 from mobo_tuner.runs.run_id import check_run_id, new_run_id
 
@@ -27,6 +27,7 @@ CANCEL_TIMEOUT = 1.5  # [s] for a canceled run to give its result; a node has 2 
 
 EXIT_ERROR = 1
 EXIT_CANCELED = 130
+PROGRAM = Program("console", "Starts one run of the tuner, shows it, and ends with it.", CONSOLE)
 
 
 class Console:
@@ -44,9 +45,11 @@ class Console:
             ValueError: If a parameter is not allowed.
         """
         self.exit_code: int | None = None
-        self.node = Node("console")
+        self.node = Node("console", automatically_declare_parameters_from_overrides=True)
+        given = take_given(self.node)
         self._executor = executor
         parameters = declare(self.node, CONSOLE)
+        refuse_undeclared(self.node, given)
         run_id = str(parameters["run_id"])
         self._run_id = check_run_id(run_id) if run_id else new_run_id("run")
         self._evaluations = int(parameters["evaluations"])
@@ -188,7 +191,7 @@ class Console:
 
 def main() -> None:
     """Run the console until the run ends."""
-    exit_process(run_node(Console, on_interrupt=Console.interrupt))
+    exit_process(run_node(Console, PROGRAM, on_interrupt=Console.interrupt))
 
 
 if __name__ == "__main__":

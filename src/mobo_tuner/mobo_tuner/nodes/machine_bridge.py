@@ -30,7 +30,12 @@ def create(node: Node, executor: Executor) -> BridgeBackend:
 
 def main() -> None:
     """Run the bridge until a signal stops it."""
-    serve(create, "machine_bridge")
+    serve(
+        create,
+        "machine_bridge",
+        "Serves the machine that a mapping file describes, over its own topics, services and actions.",
+        MACHINE_BRIDGE,
+    )
 
 
 if __name__ == "__main__":

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -18,6 +19,7 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
+from rclpy.timer import Timer
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosbags.interfaces import (
     Connection,
@@ -34,18 +36,24 @@ from std_msgs.msg import Header
 from mobo_msgs_py.msg import RecorderStatus
 from mobo_tuner.nodes.parameters import RECORDER
 from mobo_tuner.ros import interfaces
-from mobo_tuner.ros.parameters import declare
-from mobo_tuner.ros.process import StartError, exit_process, run_node
+from mobo_tuner.ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
+from mobo_tuner.ros.parameters import declare, refuse_undeclared, take_given
+from mobo_tuner.ros.process import Program, StartError, exit_process, run_node
+from mobo_tuner.ros.waiting import STEADY_CLOCK
 from mobo_tuner.runs.bag import BagWriter
 from mobo_tuner.runs.definitions import Definition, DefinitionError, find_definition
 
 QUEUE_DEPTH = 1000  # messages of a topic that may wait to be recorded
 FLUSH_PERIOD = 0.25  # [s] what is lost at most when the process is killed
 STATUS_PERIOD = 1.0  # [s]
+SCARCE_SPACE = 1e9  # [bytes] left on the disk below which a person is warned
 QUIET_TIME = 0.2  # [s] without a message after which the queues count as empty
 DRAIN_TIMEOUT = 1.0  # [s]
 DRAIN_POLL_PERIOD = 0.05  # [s]
 FAREWELL_TIMEOUT = 0.3  # [s] for the last status to arrive
+PROGRAM = Program(
+    "recorder", "Records every topic of the ROS domain into a rosbag2 folder.", RECORDER
+)
 
 
 class Recorder:
@@ -58,26 +66,56 @@ class Recorder:
 
     def __init__(self, executor: Executor) -> None:
         self._executor = executor
-        self._node = Node("recorder")
+        self._node = Node("recorder", automatically_declare_parameters_from_overrides=True)
+        given = take_given(self._node)
         parameters = declare(self._node, RECORDER)
+        refuse_undeclared(self._node, given)
         self._bag = _open_bag(str(parameters["bag_path"]))
         self._recording = True
         self._failure = ""
         self._last_timestamp = 0
         self._topics: set[str] = set()
-        self._refused: set[str] = set()
+        self._refused: dict[str, str] = {}  # why, by topic
         self._publisher = interfaces.RECORDER_STATUS.publisher(self._node)
-        self._node.create_timer(float(parameters["discovery_period"]), self._discover)
-        self._node.create_timer(FLUSH_PERIOD, self._flush)
-        self._node.create_timer(STATUS_PERIOD, self._publish_status)
-        self._node.get_logger().info(f"recording into {self._bag.path}")
+        self._every(float(parameters["discovery_period"]), self._discover)
+        self._every(FLUSH_PERIOD, self._flush)
+        self._every(STATUS_PERIOD, self._publish_status)
+        self._diagnostics = Diagnostics(self._node, "", {"bag": self._health})
         self._discover()
         self._publish_status()
+        self._node.get_logger().info(
+            f"ready: every topic of ROS domain {self._node.context.get_domain_id()} is recorded into "
+            f"{self._bag.path.absolute()}, and {self._publisher.topic} says what is held"
+        )
 
     @property
     def node(self) -> Node:
         """The rclpy node."""
         return self._node
+
+    def _every(self, period: float, callback: Callable[[], None]) -> Timer:
+        # In wall time: messages and topics come and a disk fills, also when simulated time stands.
+        return self._node.create_timer(period, callback, clock=STEADY_CLOCK)
+
+    def _health(self) -> Health:
+        """How the bag is, for `/diagnostics`."""
+        values: dict[str, object] = {
+            "path": self._bag.path.absolute(),
+            "messages": self._bag.message_count,
+            "topics": len(self._topics),
+            "topics not recorded": ", ".join(self._refused) or "none",
+        }
+        with contextlib.suppress(OSError):
+            free = shutil.disk_usage(self._bag.path).free
+            values["free disk space [GB]"] = f"{free / 1e9:.1f}"
+            if self._recording and free < SCARCE_SPACE:
+                return Health(WARN, f"the disk has only {free / 1e9:.1f} GB left", values)
+        if not self._recording:
+            return Health(ERROR, self._failure, values)
+        if self._refused:
+            topic, reason = next(iter(self._refused.items()))
+            return Health(WARN, f"the topic {topic} is not recorded: {reason}", values)
+        return Health(OK, f"{len(self._topics)} topics are recorded", values)
 
     async def stop(self) -> None:
         """Record what was published until now, then close the bag."""
@@ -140,7 +178,7 @@ class Recorder:
         self._topics.add(topic)
 
     def _refuse(self, topic: str, reason: str) -> None:
-        self._refused.add(topic)
+        self._refused[topic] = reason
         self._node.get_logger().warning(f"the topic {topic} is not recorded: {reason}")
 
     def _write(self, connection: Connection, data: bytes, info: dict[str, int]) -> None:
@@ -212,7 +250,7 @@ class Recorder:
                 timer.cancel()
                 done.set_result(None)
 
-        timer = self._node.create_timer(DRAIN_POLL_PERIOD, check)
+        timer = self._every(DRAIN_POLL_PERIOD, check)
         return done
 
 
@@ -284,7 +322,7 @@ def _qos_time(duration: Duration) -> QosTime:
 
 def main() -> None:
     """Run the node until a signal stops it."""
-    exit_process(run_node(Recorder))
+    exit_process(run_node(Recorder, PROGRAM))
 
 
 if __name__ == "__main__":

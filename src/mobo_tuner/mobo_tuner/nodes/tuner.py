@@ -6,7 +6,7 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.task import Future
 
-from mobo_tuner.core.problem import SECTIONS
+from mobo_tuner.core.problem import SECTIONS, Problem
 from mobo_tuner.core.settings import method_of
 from mobo_tuner.errors import UserError
 from mobo_tuner.ros.parameters import (
@@ -14,10 +14,11 @@ from mobo_tuner.ros.parameters import (
     given_parameters,
     refuse_unknown,
 )
-from mobo_tuner.ros.process import STOP_TIMEOUT, exit_process, run_node
+from mobo_tuner.ros.process import STOP_TIMEOUT, Program, exit_process, run_node
 from mobo_tuner.ros.waiting import until
 from mobo_tuner.ros.worker import Worker
 from mobo_tuner.tuner.context import TunerContext
+from mobo_tuner.tuner.health import TunerHealth
 from mobo_tuner.tuner.machine_client import MachineClient
 from mobo_tuner.tuner.parameters import TunerParameters, tuner_specs, with_method
 from mobo_tuner.tuner.problem_parameters import ProblemParameters
@@ -74,6 +75,17 @@ class Tuner:
         self._working_points = WorkingPoints(context, session, loop)
         self._ask_tell = AskTell(context, session, problem)
         self._tune = TuneServer(context, session, loop, problem)
+        self._health = TunerHealth(context, session)
+        self.node.get_logger().info(f"ready: {self._offer(problem.problem, parameters)}")
+
+    def _offer(self, problem: Problem, parameters: TunerParameters) -> str:
+        """Return what the tuner serves, for people."""
+        folder = parameters.run_dir("")
+        kept = f"runs are kept in {folder.absolute()}" if folder else "runs are not kept"
+        return (
+            f"{len(problem.objectives)} objectives of {len(problem.variables)} variables can be tuned "
+            f"by the action {self.node.resolve_topic_name('tune')}; {kept}"
+        )
 
     async def stop(self) -> None:
         """End what is being done, with what there is."""
@@ -90,9 +102,21 @@ class Tuner:
         self.node.destroy_node()
 
 
+def program() -> Program:
+    """Return what the tuner's program says of itself."""
+    return Program(
+        "tuner",
+        "Tunes a machine: proposes set-points, has them evaluated, learns, and reports the front.",
+        tuner_specs({}),
+        "The defaults of the method are those of the preset 'default' with its maximizer; see\n"
+        "docs/parameters.md. The problem is given by the parameters below variables, objectives,\n"
+        "constraints and observables, as in variables.K1.min.",
+    )
+
+
 def main() -> None:
     """Run the tuner node."""
-    exit_process(run_node(Tuner))
+    exit_process(run_node(Tuner, program()))
 
 
 if __name__ == "__main__":

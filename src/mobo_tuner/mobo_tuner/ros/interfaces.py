@@ -1,7 +1,8 @@
 """Topics, services and actions of the suite: the name, type and purpose of each, in one place.
 
 The nodes make their publishers, servers and clients from these declarations, and docs/interfaces.md is
-generated from them. All names are relative, so that they follow namespaces and remappings.
+generated from them. All names but `/diagnostics` are relative, so that they follow namespaces and
+remappings.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
 from rclpy.client import Client
 from rclpy.node import Node
@@ -155,6 +157,13 @@ RUN_RECORDS = Topic(
 EVALUATION = Topic(
     "evaluation", msg.Evaluation, KEPT, "tuner", "Exactly one message per evaluation."
 )
+LATEST_EVALUATION = Topic(
+    "latest_evaluation",
+    msg.Evaluation,
+    LATCHED,
+    "tuner",
+    "The same message; a late subscriber gets the newest at once, and no other.",
+)
 PARETO_FRONT = Topic(
     "pareto_front", msg.ParetoFront, LATCHED, "tuner", "Pareto front, after each change."
 )
@@ -183,7 +192,25 @@ RECORDER_STATUS = Topic(
     "recorder",
     "State of the recorder, after each change and at 1 Hz.",
 )
-TOPICS = (PROBLEM, RUN_RECORDS, EVALUATION, PARETO_FRONT, STATUS, PLOT, HEARTBEAT, RECORDER_STATUS)
+DIAGNOSTICS = Topic(
+    "/diagnostics",
+    DiagnosticArray,
+    STREAM,
+    "tuner, recorder, machine",
+    "Health of the node's parts, at 1 Hz.",
+)
+TOPICS = (
+    PROBLEM,
+    RUN_RECORDS,
+    EVALUATION,
+    LATEST_EVALUATION,
+    PARETO_FRONT,
+    STATUS,
+    PLOT,
+    HEARTBEAT,
+    RECORDER_STATUS,
+    DIAGNOSTICS,
+)
 
 PAUSE = Service("pause", Trigger, "tuner", "Pauses the run after the current evaluation.")
 RESUME = Service("resume", Trigger, "tuner", "Continues a paused run.")

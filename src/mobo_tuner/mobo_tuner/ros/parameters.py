@@ -1,54 +1,188 @@
-"""Parameters of nodes: given on the command line, declared as they are specified."""
+"""Parameters of nodes: given by files and the command line, declared as they are specified."""
 
 from __future__ import annotations
 
+import difflib
+import re
+import sys
 import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 
-from mobo_tuner.errors import ParameterError
+from mobo_tuner.errors import FileError, ParameterError
+from mobo_tuner.files import load_yaml
+from mobo_tuner.parameter_file import flat
 from mobo_tuner.parameter_spec import ParameterSpec, unknown
+
+EVERY_NODE = "/**"
+"""Section of a parameter file that all nodes take."""
+_OF_ROS = ("use_sim_time", "start_type_description_service")
+_NEARLY = 0.8  # similarity above which a name counts as another one misspelt
 
 
 @contextmanager
-def with_parameters_first(arguments: Sequence[str]) -> Iterator[list[str]]:
-    """Yield a command line whose `-p name:=value` wins over the sections of its parameter files.
+def as_node_arguments(arguments: Sequence[str], name: str = "") -> Iterator[list[str]]:
+    """Yield the command line of a program with one node, as rclpy must get it.
 
-    ROS merges such a parameter into the section of all nodes, which yields to that of the node. It
-    is therefore given once more, in a file with a section for any node, the last of all files.
+    It differs in two ways. A `-p name:=value` wins over every section of the parameter files, whereas
+    ROS lets it yield to the section of the node. And a node that is renamed or in a namespace takes
+    the section of its original name in each file without a section of its own but `/**`, whereas ROS
+    ignores that section.
 
     Args:
-        arguments: Command line of a node's process.
+        arguments: Command line of the node's process.
+        name: Name of the node, unless it is renamed.
     """
+    node = _full_name(arguments, name)
+    with ExitStack() as files:
+        words = _with_own_section(arguments, name, node, files)
+        given = _assigned(arguments, {name, node, node.rpartition("/")[2]} - {""})
+        if given:
+            lines = [f"    {key}: {value}" for key, value in given.items()]
+            text = "\n".join(["/**/*:", "  ros__parameters:", *lines, ""])
+            words += ["--ros-args", "--params-file", _temporary(text, files)]
+        yield words
+
+
+def _full_name(arguments: Sequence[str], name: str) -> str:
+    """Return the full name that a node has after remapping."""
+    namespace = "/"
+    for flag, text in pairwise(arguments):
+        rule, assigned, value = text.partition(":=")
+        if flag in ("-r", "--remap") and assigned and rule.partition(":")[0] in (rule, name):
+            match rule.rpartition(":")[2]:
+                case "__ns":
+                    namespace = value
+                case "__node" | "__name":
+                    name = value
+    return f"/{namespace.strip('/')}/{name}".replace("//", "/")
+
+
+def _assigned(arguments: Sequence[str], names: Collection[str]) -> dict[str, str]:
+    """Return what `-p` gives to a node, as text; `names` are those by which a `-p` may name it."""
     given = {}
     for flag, text in pairwise(arguments):
-        name, assigned, value = text.partition(":=")
-        if flag in ("-p", "--param") and assigned and ":" not in name and "\n" not in value:
-            given[name] = value
-    if not given:
-        yield list(arguments)
-        return
-    lines = [f"    {name}: {value}" for name, value in given.items()]
-    with tempfile.NamedTemporaryFile("w", suffix=".yaml", encoding="utf-8") as file:
-        file.write("\n".join(["/**/*:", "  ros__parameters:", *lines, ""]))
-        file.flush()
-        yield [*arguments, "--ros-args", "--params-file", file.name]
+        key, assigned, value = text.partition(":=")
+        node, _, parameter = key.rpartition(":")
+        if (
+            flag in ("-p", "--param")
+            and assigned
+            and "\n" not in value
+            and (not node or node in names)
+        ):
+            given[parameter] = value
+    return given
+
+
+def _with_own_section(
+    arguments: Sequence[str], name: str, node: str, files: ExitStack
+) -> list[str]:
+    """Rename the section of a node's original name to its full name, if the file has none for that."""
+    words = list(arguments)
+    if not name or node == f"/{name}":
+        return words
+    own = {name, f"/{name}", f"/**/{name}"}
+    key = re.compile(rf"^(['\"]?)(/\*\*/|/)?{re.escape(name)}\1(?=\s*:)", flags=re.MULTILINE)
+    for position, (flag, path) in enumerate(pairwise(arguments), start=1):
+        sections = {*_content(path)} if flag == "--params-file" else set()
+        specific = any(section != EVERY_NODE and _is_for(section, node) for section in sections)
+        if own & sections and not specific:
+            text = key.sub(f'"{node}"', Path(path).read_text(encoding="utf-8"))
+            words[position] = _temporary(text, files)
+    return words
+
+
+def _content(path: str) -> Mapping[Any, Any]:
+    """Return what a parameter file holds; nothing if it cannot be read, which rclpy will say."""
+    try:
+        return load_yaml(path)
+    except FileError:
+        return {}
+
+
+def _is_for(section: object, node: str) -> bool:
+    """Return whether a section of a parameter file is for a node, by the rules of ROS."""
+    pattern = re.escape(f"/{str(section).removeprefix('/')}")
+    for wildcard, meaning in ((r"/\*\*", r"(/\w+)*"), (r"/\*", r"/\w+")):
+        pattern = pattern.replace(wildcard, meaning)
+    return re.fullmatch(pattern, node) is not None
+
+
+def _temporary(text: str, files: ExitStack) -> str:
+    """Return the path of a file with a text; it exists until the stack is closed."""
+    file = files.enter_context(
+        tempfile.NamedTemporaryFile("w", suffix=".yaml", encoding="utf-8")  # noqa: SIM115
+    )
+    file.write(text)
+    file.flush()
+    return file.name
 
 
 def given_parameters(node: Node) -> dict[str, Any]:
     """Return the parameters of a node that declares them from its files and command line."""
-    own = ("use_sim_time", "start_type_description_service")
     declared: Mapping[str, Any] = node.get_parameters_by_prefix("")
     return {
         name: parameter.value
         for name, parameter in declared.items()
-        if name not in own and not name.startswith("qos_overrides.")
+        if name not in _OF_ROS and not name.startswith("qos_overrides.")
     }
+
+
+def take_given(node: Node) -> list[str]:
+    """Return the names of a node's parameters that were given, and leave them to be declared.
+
+    The node must have declared them from its files and command line; when it declares one again, it
+    gets the value that was given.
+    """
+    names = list(given_parameters(node))
+    for name in names:
+        node.undeclare_parameter(name)
+    return names
+
+
+def refuse_undeclared(node: Node, given: Iterable[str], *, misspelt: bool = False) -> None:
+    """Refuse given parameters that a node did not declare, of which ROS says nothing.
+
+    What stands in the section for every node of a parameter file may be another node's. It is refused
+    only if it is nearly the name of one of this node's parameters.
+
+    Args:
+        node: Node that has declared its parameters.
+        given: Names that `take_given` returned.
+        misspelt: Whether only those are refused that are nearly the name of a parameter.
+
+    Raises:
+        ParameterError: If a parameter is unknown.
+    """
+    known = list(given_parameters(node))
+    common = {
+        name
+        for word, path in pairwise(sys.argv)
+        if word == "--params-file"
+        for name in _common_names(_content(path))
+    }
+    for name in given:
+        if node.has_parameter(name):
+            continue
+        if not (misspelt or name in common) or difflib.get_close_matches(
+            name, known, n=1, cutoff=_NEARLY
+        ):
+            raise ParameterError(unknown(name, known, "the node"))
+
+
+def _common_names(content: Mapping[Any, Any]) -> Iterator[str]:
+    """Yield the names of the parameters in the section for every node."""
+    section = content.get(EVERY_NODE)
+    parameters = section.get("ros__parameters") if isinstance(section, Mapping) else None
+    if isinstance(parameters, Mapping):
+        for name, _ in flat(parameters):
+            yield name
 
 
 def refuse_unknown(given: Iterable[str], known: Collection[str]) -> None:

@@ -1,13 +1,15 @@
-"""The life of a node's process: start, spin, stop on SIGINT or SIGTERM, always end."""
+"""The life of a node's process: help, start, spin, stop on SIGINT or SIGTERM, always end."""
 
 from __future__ import annotations
 
 import faulthandler
+import json
 import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from types import FrameType
 from typing import NoReturn, Protocol, TypeVar
 
@@ -16,8 +18,10 @@ from rclpy.exceptions import ROSInterruptException
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
-from mobo_tuner.ros.parameters import with_parameters_first
+from mobo_tuner.parameter_spec import ParameterSpec
+from mobo_tuner.ros.parameters import as_node_arguments
 
 POLL_PERIOD = 0.1  # [s] a signal is noticed within this time
 STOP_TIMEOUT = 2.0  # [s] for a node to finish what it is doing
@@ -46,12 +50,47 @@ class ManagedNode(Protocol):
         """Release everything; called once, last, whatever happened."""
 
 
+@dataclass(frozen=True)
+class Program:
+    """What a node's program says of itself with `--help`.
+
+    Attributes:
+        name: Name of the node, unless it is renamed.
+        description: What the node does, one sentence.
+        parameters: Parameters of the node.
+        notes: Further lines about the parameters.
+    """
+
+    name: str
+    description: str = ""
+    parameters: Sequence[ParameterSpec] = ()
+    notes: str = ""
+
+    @property
+    def help(self) -> str:
+        """The text of `--help`."""
+        return "\n".join(self._help_lines())
+
+    def _help_lines(self) -> Iterator[str]:
+        yield f"usage: {self.name} [--help] [--ros-args [-p NAME:=VALUE] [--params-file FILE] ...]"
+        if self.description:
+            yield f"\n{self.description}"
+        yield "\nparameters (* may also be set while the node runs):"
+        for spec in self.parameters:
+            mark = " *" if spec.writable else ""
+            allowed = f"; allowed: {spec.range_text}" if spec.range_text else ""
+            yield f"  {spec.name}{mark}: {spec.type_name}, default {_as_yaml(spec)}{allowed}"
+            yield f"      {spec.description}"
+        if self.notes:
+            yield f"\n{self.notes}"
+
+
 NodeT = TypeVar("NodeT", bound=ManagedNode)
 
 
 def run_node(
     create: Callable[[Executor], NodeT],
-    args: Sequence[str] | None = None,
+    program: Program,
     on_interrupt: Callable[[NodeT], None] | None = None,
 ) -> int:
     """Run one node until it is finished or a signal asks it to stop.
@@ -62,17 +101,23 @@ def run_node(
 
     Args:
         create: Function that builds the node, given the executor on which it will run.
-        args: Command line; that of the process if None.
+        program: What the process says of itself.
         on_interrupt: What a SIGINT does first, if it does not stop the node yet; the node then ends
             by itself. The next SIGINT counts as the first of those that stop it.
 
     Returns:
-        The exit status: 0, or what the node says, or 2 when it cannot start.
+        The exit status: 0, also after `--help`, or what the node says, or 2 when it cannot start.
     """
+    if {"-h", "--help"} & {*sys.argv[1:]}:
+        print(program.help)
+        return 0
+    others = remove_ros_args(sys.argv)[1:]
+    if others:
+        print(f"cannot start: the argument '{others[0]}' is unknown; see --help", file=sys.stderr)
+        return 2
     stop = _StopRequest(deferred=on_interrupt is not None)
-    argv = list(sys.argv if args is None else args)
     try:
-        with with_parameters_first(argv) as arguments:
+        with as_node_arguments(sys.argv, program.name) as arguments:
             rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy raises many kinds for an unreadable parameter file
         print(f"cannot start: {_first_line(error)}", file=sys.stderr)
@@ -139,6 +184,11 @@ class _StopRequest:
         # On a thread that needs no interpreter, so that the process ends, and says where it was, also
         # where a library never gives up the interpreter's lock.
         faulthandler.dump_traceback_later(EXIT_TIMEOUT, exit=True)
+
+
+def _as_yaml(spec: ParameterSpec) -> str:
+    """Return the default of a parameter as a parameter file holds it."""
+    return json.dumps(spec.default)
 
 
 def _first_line(error: BaseException) -> str:

@@ -9,9 +9,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 
-STEADY_CLOCK = Clock(
-    clock_type=ClockType.STEADY_TIME
-)  # timeouts are wall time, also in simulated time
+STEADY_CLOCK = Clock(clock_type=ClockType.STEADY_TIME)
+"""Clock of everything that people and processes wait for: it runs also when simulated time stands."""
 
 
 async def first_of(node: Node, *futures: Future, timeout: float) -> Future | None:

@@ -63,6 +63,16 @@ class MachineClient:
         # knows the others, too. It would drop its answers to a client that it does not know yet.
         self._describe = interfaces.DESCRIBE_MACHINE.client(node)
 
+    @property
+    def is_there(self) -> bool:
+        """Whether a machine serves its description and evaluations."""
+        return self._describe.service_is_ready() and self._evaluate.server_is_ready()
+
+    @property
+    def action_name(self) -> str:
+        """Full name of the action by which the machine evaluates set-points."""
+        return str(self._node.resolve_topic_name("evaluate_setpoint"))
+
     async def describe(
         self, timeout: float, *interrupts: Future
     ) -> DescribeMachine.Response | None:
@@ -71,12 +81,8 @@ class MachineClient:
         Raises:
             MachineLostError: none answered within `timeout` seconds.
         """
-
-        def ready() -> bool:
-            return self._describe.service_is_ready() and self._evaluate.server_is_ready()
-
         deadline = time.monotonic() + timeout
-        if await until(self._node, ready, *interrupts, timeout=timeout):
+        if await until(self._node, lambda: self.is_there, *interrupts, timeout=timeout):
             while time.monotonic() < deadline and not _any_done(interrupts):
                 # A request sent right after discovery may be lost, so it is asked again.
                 request = self._describe.call_async(DescribeMachine.Request())

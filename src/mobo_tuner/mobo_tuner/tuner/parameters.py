@@ -13,6 +13,7 @@ from typing import Any
 
 from mobo_tuner.core.acquisition_optimizer import MAXIMIZERS
 from mobo_tuner.core.settings import CHOICES, PRESETS, OptimizerSettings, make_settings
+from mobo_tuner.errors import ParameterError
 from mobo_tuner.parameter_file import check_section, flat
 from mobo_tuner.parameter_spec import ParameterSpec, specs_of
 
@@ -49,7 +50,12 @@ TUNER = (
         minimum=0,
         maximum=10_000,
     ),
-    ParameterSpec("runs_dir", "", "Folder of the runs' journals; empty = no journal."),
+    ParameterSpec(
+        "runs_dir", "runs", "Folder in which runs are kept, relative to the working folder."
+    ),
+    ParameterSpec(
+        "journal", True, "Whether runs are kept; without a journal they cannot be resumed."
+    ),
     ParameterSpec(
         "discovery_timeout",
         10.0,
@@ -205,6 +211,7 @@ class TunerParameters:
     model_input: str
     shots: int
     runs_dir: str
+    journal: bool
     discovery_timeout: float
     machine_timeout: float
     suggestion_timeout: float
@@ -222,7 +229,16 @@ class TunerParameters:
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> TunerParameters:
-        """Take them from the values of all parameters in `TUNER`."""
+        """Take them from the values of all parameters in `TUNER`.
+
+        Raises:
+            ParameterError: If runs must be kept and no folder is named.
+        """
+        if values["journal"] and not values["runs_dir"]:
+            raise ParameterError(
+                "runs_dir is empty; it must name the folder in which runs are kept, "
+                "unless journal is false"
+            )
         names = [field.name for field in fields(cls) if field.name != "values"]
         return cls(dict(values), **{name: values[name] for name in names})
 
@@ -234,4 +250,4 @@ class TunerParameters:
 
     def run_dir(self, run_id: str) -> Path | None:
         """Return the folder in which a run is kept; None if runs are not kept."""
-        return Path(self.runs_dir) / run_id if self.runs_dir else None
+        return Path(self.runs_dir) / run_id if self.journal else None

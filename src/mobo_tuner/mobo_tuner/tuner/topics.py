@@ -42,6 +42,7 @@ class TunerTopics:
         self._records = interfaces.RUN_RECORDS.publisher(node)
         self._front = interfaces.PARETO_FRONT.publisher(node)
         self._evaluation = interfaces.EVALUATION.publisher(node)
+        self._latest = interfaces.LATEST_EVALUATION.publisher(node)
         names = dict.fromkeys(
             [
                 *problem.variable_names,
@@ -70,6 +71,7 @@ class TunerTopics:
     def evaluation(self, message: msg.Evaluation) -> None:
         """Publish an evaluation, as a whole and as flat topics."""
         self._evaluation.publish(message)
+        self._latest.publish(message)
         values = {item.name: item.value for item in (*message.diagnostics, *message.setpoint)}
         values["hypervolume"] = message.hypervolume
         values["suggest_seconds"] = message.suggest_seconds

@@ -1,0 +1,90 @@
+"""Health of the tuner for `/diagnostics`, and whether another tuner disturbs it."""
+
+from __future__ import annotations
+
+from mobo_msgs_py.msg import TunerStatus
+from mobo_tuner.ros.diagnostics import (
+    ERROR,
+    OK,
+    PERIOD,
+    STALE,
+    WARN,
+    Diagnostics,
+    Health,
+    other_publishers,
+)
+from mobo_tuner.ros.waiting import STEADY_CLOCK
+from mobo_tuner.tuner.context import TunerContext
+from mobo_tuner.tuner.session import Session
+
+_STATES = {
+    getattr(TunerStatus, name): name.lower()
+    for name in ("IDLE", "WAITING", "SUGGESTING", "EVALUATING", "CANCELING", "PAUSED", "MOVING")
+}
+
+
+class TunerHealth:
+    """Publishes how the run and the connection to the machine are.
+
+    A second tuner of the same namespace or for the same machine is named on `/diagnostics`, once in
+    the log, and in the status of an idle tuner. The other tuner says the same of this one.
+
+    Args:
+        context: The tuner's node and what works in it.
+        session: Session that knows the active run.
+    """
+
+    def __init__(self, context: TunerContext, session: Session) -> None:
+        self._context = context
+        self._session = session
+        self._rival = ""  # sentence about other tuners; empty if there is none
+        parts = {"run": self._run, "machine": self._machine}
+        self._diagnostics = Diagnostics(context.node, "", parts)
+        self._timer = context.node.create_timer(PERIOD, self._look_around, clock=STEADY_CLOCK)
+
+    def _look_around(self) -> None:
+        """Look for other tuners."""
+        node = self._context.node
+        topics = [t for t in ("heartbeat", "status") if other_publishers(node, t)]
+        names = sorted({name for topic in topics for name in other_publishers(node, topic)})
+        rival = ""
+        if names:
+            paths = " and ".join(node.resolve_topic_name(topic) for topic in topics)
+            rival = f"another tuner, {', '.join(names)}, also publishes {paths}; stop one of them"
+        before, self._rival = self._rival, rival
+        if rival and rival != before:
+            self._context.log.warning(rival)
+        status = self._context.status
+        said = status.message.message
+        if status.message.state == TunerStatus.IDLE and said != rival and said in ("", before):
+            status.set(message=rival)
+
+    def _run(self) -> Health:
+        status, run = self._context.status.message, self._session.run
+        folder = self._context.parameters.run_dir("")
+        values = {
+            "state": _STATES[status.state],
+            "run": status.run_id or "none",
+            "evaluations": f"{status.evaluations} of {status.budget}",
+            "feasible": status.feasible,
+            "failed": status.failed,
+            "hypervolume": f"{status.hypervolume:.6g}",
+            "runs are kept in": folder.absolute() if folder else "nothing",
+        }
+        if run is None and status.stop_reason == "error":
+            return Health(ERROR, f"the last run ended with an error: {status.message}", values)
+        if self._rival:
+            return Health(WARN, self._rival, values)
+        if status.state == TunerStatus.WAITING and status.message:
+            return Health(WARN, status.message, values)
+        if run is not None and run.consecutive_failures:
+            text = f"the last {run.consecutive_failures} evaluations failed"
+            return Health(WARN, text, values)
+        return Health(OK, status.message or _STATES[status.state], values)
+
+    def _machine(self) -> Health:
+        machine = self._context.machine
+        values = {"evaluate_setpoint": machine.action_name}
+        if machine.is_there:
+            return Health(OK, "a machine serves the tuner", values)
+        return Health(STALE, f"no machine serves {machine.action_name}", values)
