@@ -98,6 +98,8 @@ def test_an_evaluation_that_is_not_newer_is_refused(
     assert code(index=3, attempt=0) == RESULT.UNKNOWN
     assert code(index=0, run_id="other") == RESULT.NONE
     assert code(index=4) == RESULT.NONE
+    for _ in range(3):  # by hand, as `ros2 action send_goal` does
+        assert code(index=0, run_id="") == RESULT.NONE
 
 
 def test_apply_setpoint_moves_without_measuring(

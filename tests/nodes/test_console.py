@@ -58,6 +58,7 @@ class Session:
         evaluations: int = 4,
         recorder: bool = False,
         ready_timeout: float = 15.0,
+        use_sim_time: bool = False,
         **options: Any,
     ) -> None:
         """Start the console."""
@@ -67,6 +68,8 @@ class Session:
             "wait_for_recorder": str(recorder).lower(),
             "ready_timeout": ready_timeout,
         }
+        if use_sim_time:
+            parameters["use_sim_time"] = "true"
         arguments = [a for k, v in parameters.items() for a in ("-p", f"{k}:={v}")]
         self.process = self._start(
             "-m", "mobo_tuner.nodes.console", "--ros-args", *arguments, **options
@@ -113,6 +116,14 @@ def test_a_run_is_shown_line_by_line_and_ends_with_0(session: Session) -> None:
         "run run1 is finished (budget): 4 evaluations, hypervolume 103, 4 on the Pareto front"
     )
     assert session.process.stderr == ""
+
+
+def test_a_run_is_shown_while_simulated_time_stands(session: Session) -> None:
+    session.tuner_behaves()
+    session.start(evaluations=2, use_sim_time=True)
+    session.ends_with(0)
+    shown = [line[:12] for line in session.lines if line.startswith("evaluation")]
+    assert shown == ["evaluation 0", "evaluation 1"]
 
 
 @pytest.mark.parametrize("way", ["publishes_topic", "publishes_feedback"])

@@ -21,6 +21,7 @@ from mobo_tuner.nodes.parameters import CONSOLE, RECORDER
 from mobo_tuner.parameter_spec import ParameterSpec
 from mobo_tuner.tuner.parameters import TUNER
 from tests.support.paths import CONFIG, ROOT
+from tests.support.processes import NodeStarter
 
 FILES = sorted((ROOT / "src").glob("*/launch/*"))
 EXECUTABLES: Mapping[tuple[str, str], tuple[ParameterSpec, ...]] = {
@@ -29,6 +30,15 @@ EXECUTABLES: Mapping[tuple[str, str], tuple[ParameterSpec, ...]] = {
     ("mobo_tuner", "console"): CONSOLE,
     ("mobo_tuner", "machine_bridge"): MACHINE_BRIDGE,
     ("awa_sim_node", "awa_sim"): AWA_SIM,
+}
+
+
+MODULES = {
+    "tuner": "mobo_tuner.nodes.tuner",
+    "recorder": "mobo_tuner.nodes.recorder",
+    "console": "mobo_tuner.nodes.console",
+    "machine_bridge": "mobo_tuner.nodes.machine_bridge",
+    "awa_sim": "awa_sim_node.node",
 }
 
 
@@ -118,13 +128,79 @@ def test_what_a_launch_file_names_is_there(path: Path) -> None:
         specs = EXECUTABLES[node.attrib["pkg"], node.attrib["exec"]]
         assert node.attrib["namespace"] == "$(var namespace)"
         known = {spec.name for spec in specs} | {"use_sim_time"}
-        flag, *words = node.attrib["args"].split()
+        flag, *words = SUBSTITUTION.sub(r"\2", node.attrib["args"]).split()
         assert flag == "--ros-args"
         assert words[::2] == ["-p"] * (len(words) // 2)
         given = [word.partition(":=")[0] for word in words[1::2]]
         given += [param.attrib["name"] for param in node.iter("param") if "name" in param.attrib]
         assert given
         assert {*given} <= known
+
+
+def commands(path: Path, **given: str) -> list[list[str]]:
+    """The command lines that launch makes of a file's nodes, without the executable."""
+    root = root_of(path)
+    values = {arg.attrib["name"]: arg.attrib.get("default", "") for arg in root.iter("arg")}
+    values |= given
+
+    def expanded(text: str) -> str:
+        text = text.replace("$(find-pkg-share mobo_tuner)/config", str(CONFIG))
+        return SUBSTITUTION.sub(lambda found: expanded(values[found[2]]), text)
+
+    lines = []
+    for node in root.iter("node"):
+        if expanded(node.attrib.get("if", "true")) != "true":
+            continue
+        line = [
+            "-m",
+            MODULES[node.attrib["exec"]],
+            *map(expanded, node.attrib["args"].split(" -p ")),
+        ]
+        line = [word for part in line for word in (("-p", part) if ":=" in part else (part,))]
+        line += ["--ros-args", "-r", f"__ns:=/{expanded(node.attrib['namespace'])}"]
+        for param in node.iter("param"):
+            if "from" in param.attrib:
+                line += ["--params-file", expanded(param.attrib["from"])]
+            else:
+                line += ["-p", f"{param.attrib['name']}:={expanded(param.attrib['value'])}"]
+        lines.append(line)
+    return lines
+
+
+@pytest.mark.usefixtures("ros_domain")
+def test_what_is_launched_comes_up_in_its_namespace(
+    start_node: NodeStarter, tmp_path: Path
+) -> None:
+    by_name = {path.name: path for path in FILES}
+    toy = {"namespace": "A", "config": str(CONFIG / "toy.yaml")}
+    lines = [
+        *commands(by_name["awa_sim.launch.xml"], **toy),
+        *commands(
+            by_name["tune.launch.xml"],
+            **toy,
+            runs_dir=str(tmp_path / "my runs"),
+            record="true",
+            bag_path=str(tmp_path / "bag"),
+            run="true",
+            evaluations="3",
+        ),
+        *commands(
+            by_name["machine_bridge.launch.xml"],
+            namespace="B",
+            mapping=str(CONFIG / "bridge_foreign.yaml"),
+            autostart="false",
+        ),
+    ]
+    simulator, tuner, recorder, console, bridge = [start_node(*line) for line in lines]
+    assert console.wait(60.0) == 0, console.stderr
+    assert len(list((tmp_path / "my runs").glob("*/journal.jsonl"))) == 1
+    assert "serves /A/evaluate_setpoint" in simulator.stderr
+    assert "by the action /A/tune" in tuner.stderr
+    assert "ready" in recorder.stderr
+    assert bridge.running
+    assert "ready" not in bridge.stderr  # it waits for a lifecycle manager
+    for process in (tuner, recorder, simulator, bridge):
+        assert process.stop() == 0
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)

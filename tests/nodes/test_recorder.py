@@ -294,6 +294,24 @@ def test_kill_9_leaves_a_readable_bag(
         assert [m.run_id for m in messages["/problem"]] == ["run1"]
 
 
+def test_it_records_while_simulated_time_stands(
+    record: Callable[..., Recording], node: Node, spin_until: SpinUntil
+) -> None:
+    recording = record("-p", "use_sim_time:=true")
+    recording.wait_for()
+    evaluations = node.create_publisher(Evaluation, "evaluation", STREAM)  # discovered later
+    recording.wait_for(evaluations)
+    evaluations.publish(evaluation(0))
+
+    def flushed() -> bool:
+        return len(read_with_mcap(recording.bag).get("/evaluation", [])) == 1
+
+    spin_until(flushed, "the message to be on disk")
+    seen = recording.statuses
+    spin_until(lambda: recording.statuses >= seen + 2, "the status to be repeated")
+    assert recording.process.stop() == 0  # what waits for the queues to be empty ends, too
+
+
 def test_a_write_error_is_reported_and_the_node_lives_on(
     record: Callable[..., Recording], node: Node, spin_until: SpinUntil
 ) -> None:
