@@ -98,8 +98,21 @@ STAGES = (
         "installing the tuner",
         "requirements",
         (*_LOCAL, "./src/mobo_tuner"),
-        sources=("src/mobo_tuner",),
-        companions=("config",),  # goes to share/ for `ros2 run`; runs here read the file they name
+        sources=tuple(
+            f"src/mobo_tuner/{name}"
+            for name in (
+                "mobo_tuner",
+                "launch",
+                "resource",
+                "wrappers",
+                "package.xml",
+                "pyproject.toml",
+                "setup.cfg",
+                "setup.py",
+            )
+        ),
+        # Goes to share/ for `ros2 run`; runs here read the file they name, which users change.
+        companions=("src/mobo_tuner/config",),
     ),
     Stage(
         "warmup",

@@ -31,7 +31,7 @@ pip install --quiet --disable-pip-version-check --no-input \
 
 echo "colcon: building"
 mkdir "$work/workspace"
-cp -r "$root/src" "$root/config" "$work/workspace"
+cp -r "$root/src" "$work/workspace"
 cd "$work/workspace"
 export CMAKE_PREFIX_PATH=$VIRTUAL_ENV AMENT_PREFIX_PATH=$VIRTUAL_ENV
 colcon build --base-paths src --event-handlers console_cohesion+ --cmake-args \

@@ -26,7 +26,7 @@ setup(
     # rclpy and the message packages come with ROS, or from requirements.txt.
     install_requires=["mobo_tuner", "numpy>=1.26", "torch>=2.1"],
     # The node needs neither: they make the data set that the surrogate learns from.
-    extras_require={"simulation": ["numba>=0.58", "scipy>=1.11"]},
+    extras_require={"simulation": ["numba>=0.58", "scipy>=1.11"], "test": ["pytest"]},
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
         NAME: ["py.typed"],

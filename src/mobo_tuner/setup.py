@@ -21,8 +21,8 @@ data_files = [
     ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
     (f"share/{NAME}", ["package.xml"]),
     (f"share/{NAME}/launch", sorted(glob("launch/*.launch.xml"))),
-    (f"share/{NAME}/config", sorted(glob("../../config/*.yaml"))),
-    (f"share/{NAME}/config/presets", sorted(glob("../../config/presets/*.yaml"))),
+    (f"share/{NAME}/config", sorted(glob("config/*.yaml"))),
+    (f"share/{NAME}/config/presets", sorted(glob("config/presets/*.yaml"))),
 ]
 if "bdist_wheel" in sys.argv:  # colcon puts the executables there by setup.cfg, pip does not
     data_files.append((f"lib/{NAME}", [f"wrappers/{name}" for name in EXECUTABLES]))
@@ -38,7 +38,11 @@ setup(
     # The machine's side needs these alone: mobo_tuner.machine, .bridge, .ros, machine_bridge. rclpy and
     # the message packages come with ROS, or from requirements.txt. The oldest versions are Ubuntu 24.04's.
     install_requires=["PyYAML>=6.0", "numpy>=1.26"],
-    extras_require={**EXTRAS, "all": sorted({name for extra in EXTRAS.values() for name in extra})},
+    extras_require={
+        **EXTRAS,
+        "all": sorted({name for extra in EXTRAS.values() for name in extra}),
+        "test": ["pytest"],
+    },
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={NAME: ["py.typed", "runs/report/templates/*"]},
     data_files=data_files,

@@ -32,7 +32,6 @@ def wheels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, zipfile.ZipFil
     folder = tmp_path_factory.mktemp("project")
     ignored = shutil.ignore_patterns("__pycache__", "build", "*.egg-info")
     shutil.copytree(SOURCE, folder / "src", ignore=ignored)
-    shutil.copytree(SOURCE.parent / "config", folder / "config")
     built = {}
     for package in EXECUTABLES:
         subprocess.run(
@@ -179,6 +178,7 @@ def test_every_import_is_declared_for_pip_and_for_ros(
     wheels: dict[str, zipfile.ZipFile], package: str
 ) -> None:
     for_pip = declared(wheels[package], package)
+    assert for_pip.pop("test") == {"pytest"}  # by which colcon test finds the tests
     manifest = ElementTree.parse(SOURCE / package / "package.xml")
     for_ros = {e.text for e in manifest.iter() if e.tag in ("depend", "exec_depend")}
     for_tests = {e.text for e in manifest.iter() if e.tag == "test_depend"}
@@ -283,3 +283,37 @@ def test_the_numerics_call_nothing_that_ubuntus_libraries_lack() -> None:
                 assert "rng" not in {keyword.arg for keyword in node.keywords}, path
             if isinstance(node, ast.Attribute):
                 assert ast.unparse(node) != "np.trapezoid", path
+
+
+def test_the_configuration_of_the_project_is_the_packages() -> None:
+    assert (SOURCE.parent / "config").resolve() == SOURCE / "mobo_tuner" / "config"
+
+
+@pytest.mark.parametrize("package", [*EXECUTABLES, "mobo_msgs_py"])
+def test_colcon_test_finds_tests_that_pass(package: str) -> None:
+    manifest = ElementTree.parse(SOURCE / package / "package.xml")
+    needed = {e.text for e in manifest.iter("test_depend")}
+    if package == "mobo_msgs_py":
+        build = (SOURCE / package / "CMakeLists.txt").read_text(encoding="utf-8")
+        assert "ament_add_pytest_test(" in build
+        assert "ament_cmake_pytest" in needed
+    else:
+        assert "python3-pytest" in needed
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-c", "/dev/null", "test"],
+        cwd=SOURCE / package,
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout
+    assert " passed" in done.stdout
+
+
+@pytest.mark.parametrize("package", [*EXECUTABLES, "mobo_msgs_py"])
+def test_each_package_declares_its_quality(package: str) -> None:
+    text = (SOURCE / package / "QUALITY_DECLARATION.md").read_text(encoding="utf-8")
+    assert "quality level 4" in text
+    for target in re.findall(r"\]\(([^)#:]+)\)", text):
+        assert (SOURCE / package / target).exists(), target
