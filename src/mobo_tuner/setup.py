@@ -14,7 +14,7 @@ EXTRAS = {
     "tuner": TUNER,
     "recorder": BAGS,
     "console": ["rich>=13.7"],
-    "report": [*TUNER, "Jinja2>=3.1", "matplotlib>=3.6", "rich>=13.7"],
+    "report": [*TUNER, "Jinja2>=3.1", "MarkupSafe>=2.1", "matplotlib>=3.6", "rich>=13.7"],
 }
 
 data_files = [

@@ -96,9 +96,15 @@ def test_all_packages_have_one_version() -> None:
 
 # ------------------------------------------------------------------ imports and what is declared
 
-MODULES = {"PyYAML": "yaml", "backports.zstd": "backports"}
+MODULES = {
+    "Jinja2": "jinja2",
+    "MarkupSafe": "markupsafe",
+    "PyYAML": "yaml",
+    "backports.zstd": "backports",
+}
 """Top-level module of each package of PyPI whose name differs."""
 ROSDEP = {
+    "jinja2": "python3-jinja2",
     "matplotlib": "python3-matplotlib",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
@@ -110,7 +116,7 @@ ROSDEP = {
 }
 """rosdep's key of each module."""
 WITHOUT_KEY = {"threadpoolctl"}  # README.md of the package says how it is installed
-WITH_ROSBAGS = {"backports", "lz4"}  # rosbags requires them
+WITH_OTHERS = {"backports", "lz4", "markupsafe"}  # rosbags and Jinja2 require them
 # Which extra a part of a package needs; the longest prefix counts, nothing is needed without one.
 EXTRA_OF = {
     "mobo_tuner": {
@@ -193,7 +199,7 @@ def test_every_import_is_declared_for_pip_and_for_ros(
         assert names - OF_ROS <= allowed, f"{file} imports more than setup.py declares"
         for name in names & OF_ROS:
             assert name in for_ros, f"{file} imports {name}; package.xml does not declare it"
-        for name in names - OF_ROS - WITH_ROSBAGS:
+        for name in names - OF_ROS - WITH_OTHERS:
             key = ROSDEP.get(name, name)
             known = key in for_ros or (extras == ["simulation"] and key in for_tests)
             assert known or (name in WITHOUT_KEY and f"python3-{name}" in readme), (file, name)
