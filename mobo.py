@@ -8,6 +8,8 @@
     python3 mobo.py show RUN     what came out of a run
     python3 mobo.py resume RUN   continue a run that was cut short, or with more evaluations
     python3 mobo.py report RUN   make its report again
+    python3 mobo.py compare RUN RUN ...   compare runs in one page
+    python3 mobo.py export RUN   write its evaluations as a table
     python3 mobo.py rebuild BAG  rebuild a run from its bag alone
     python3 mobo.py replay RUN   ask for every suggestion again, and compare
 
@@ -45,6 +47,8 @@ VERBS = {
     "show": verbs.show,
     "resume": run.resume,
     "report": verbs.report,
+    "compare": verbs.compare,
+    "export": verbs.export,
     "rebuild": verbs.rebuild,
     "replay": verbs.replay,
 }

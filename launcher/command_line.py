@@ -156,6 +156,19 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
     _add_surroundings(resume, "as that of the run")
 
     add("report", "make the report of a run anew").add_argument("run", metavar="RUN", help=RUN_HELP)
+    compare = add("compare", "compare runs in one HTML file")
+    compare.add_argument("runs", metavar="RUN", nargs="+", help=RUN_HELP)
+    compare.add_argument(
+        "--output",
+        metavar="FILE",
+        type=Path,
+        help="where it is written (default: compare.html, in the folder of the runs)",
+    )
+    export = add("export", "write the evaluations of a run as a table into its folder")
+    export.add_argument("run", metavar="RUN", help=RUN_HELP)
+    export.add_argument(
+        "--format", choices=("csv", "parquet"), default="csv", help="format (default: csv)"
+    )
     rebuild = add("rebuild", "make a run anew from its bag alone, also from one that was cut off")
     rebuild.add_argument("bag", metavar="BAG", type=Path, help="folder of the bag, or .mcap file")
     rebuild.add_argument("--run-id", metavar="ID", type=_run_id, help="name of the new run folder")

@@ -99,6 +99,30 @@ def report(options: argparse.Namespace) -> None:
     print(folder.path)
 
 
+def compare(options: argparse.Namespace) -> None:
+    """Compare several runs in one HTML file, whose path is printed.
+
+    Raises:
+        UsageError, SetupError, RunFolderError, Interrupted, OSError
+    """
+    folders = [RunFolder.find(run, options.runs_dir).path for run in options.runs]
+    output = (options.output or options.runs_dir / "compare.html").resolve()
+    with open_project(options.root) as project:
+        module = "mobo_tuner.runs.report.comparison"
+        project.ask(module, *folders, "--output", output, show=True)
+
+
+def export(options: argparse.Namespace) -> None:
+    """Write the evaluations of a run as a table, whose path is printed.
+
+    Raises:
+        UsageError, SetupError, RunFolderError, Interrupted, OSError
+    """
+    folder = RunFolder.find(options.run, options.runs_dir)
+    with open_project(options.root) as project:
+        project.ask("mobo_tuner.runs.export", folder.path, "--format", options.format, show=True)
+
+
 def rebuild(options: argparse.Namespace) -> None:
     """Make a run anew from its bag alone.
 

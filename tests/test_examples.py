@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 
 from awa_sim_node.surrogate import Surrogate
+from mobo_tuner.runs.export import main as export
 from tests.support.processes import NodeProcess, NodeStarter, wait_until
+from tests.support.run_folders import evaluation, write_run
 from tests.support.simulator import MIDDLE
 from tests.support.tuner import journal
 
@@ -106,3 +108,21 @@ def test_the_machine_is_driven_by_plain_topics_alone(start_node: NodeStarter) ->
     assert widths == sorted(widths, reverse=True)
     at_230 = Surrogate.load().predict({**MIDDLE, "K2": 230.0})["sigma_x"]
     assert widths[2] == pytest.approx(at_230, abs=0.02)
+
+
+def test_the_readmes_table_of_a_run_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    problem = {
+        "variables": {"K1": {"min": 0.0, "max": 1.0}},
+        "objectives": {"eps_x": {"reference": 10.0}, "dE": {"reference": 10.0}},
+    }
+    records = [
+        evaluation(i, {"eps_x": 5.0 - i, "dE": 1.0 + i}, setpoint={"K1": 0.1 * i}) for i in range(3)
+    ]
+    assert export([str(write_run(tmp_path / "runs" / "RUN", records, problem))]) == 0
+    monkeypatch.chdir(tmp_path)
+    capsys.readouterr()
+    exec(compile(shown("pandas"), "README.md", "exec"), {})
+    _, *rows = capsys.readouterr().out.splitlines()
+    assert [row.split()[1:3] for row in rows] == [["2", "3.0"], ["1", "4.0"], ["0", "5.0"]]

@@ -14,6 +14,7 @@ EXTRAS = {
     "tuner": TUNER,
     "recorder": BAGS,
     "console": ["rich>=13.7"],
+    "export": [*TUNER, "pyarrow>=16"],
     "report": [*TUNER, "Jinja2>=3.1", "MarkupSafe>=2.1", "matplotlib>=3.6", "rich>=13.7"],
 }
 

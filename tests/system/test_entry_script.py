@@ -78,7 +78,19 @@ def test_a_wrong_command_line_is_one_sentence(arguments: list[str], named: str) 
 def test_help_names_every_verb() -> None:
     done = mobo("--help")
     assert done.returncode == 0
-    for verb in ("run", "check", "test", "list", "show", "resume", "report", "rebuild", "replay"):
+    for verb in (
+        "run",
+        "check",
+        "test",
+        "list",
+        "show",
+        "resume",
+        "report",
+        "compare",
+        "export",
+        "rebuild",
+        "replay",
+    ):
         assert f"\n    {verb} " in done.stdout
 
 

@@ -115,7 +115,8 @@ ROSDEP = {
     "yaml": "python3-yaml",
 }
 """rosdep's key of each module."""
-WITHOUT_KEY = {"threadpoolctl"}  # README.md of the package says how it is installed
+WITHOUT_KEY = {"threadpoolctl": "python3-threadpoolctl", "pyarrow": "pip install pyarrow"}
+"""How each is installed, in README.md of the package."""
 WITH_OTHERS = {"backports", "lz4", "markupsafe"}  # rosbags and Jinja2 require them
 # Which extra a part of a package needs; the longest prefix counts, nothing is needed without one.
 EXTRA_OF = {
@@ -126,6 +127,7 @@ EXTRA_OF = {
         "runs/bag.py": ["recorder"],
         "runs/mcap_records.py": ["recorder"],
         "runs/rebuild.py": ["tuner", "recorder"],
+        "runs/export.py": ["tuner", "export"],
         "runs/report": ["report"],
         "displays": ["console"],
         "nodes/recorder.py": ["recorder"],
@@ -202,7 +204,7 @@ def test_every_import_is_declared_for_pip_and_for_ros(
         for name in names - OF_ROS - WITH_OTHERS:
             key = ROSDEP.get(name, name)
             known = key in for_ros or (extras == ["simulation"] and key in for_tests)
-            assert known or (name in WITHOUT_KEY and f"python3-{name}" in readme), (file, name)
+            assert known or WITHOUT_KEY.get(name, "nowhere") in readme, (file, name)
     assert set().union(*for_pip.values()) <= used, "setup.py declares what nothing imports"
     keys = {ROSDEP.get(name, name) for name in used}
     launched = {"launch_ros", "launch_xml"}  # by the files in launch/, which import nothing
@@ -239,7 +241,10 @@ sys.meta_path.insert(0, Absent())
     assert done.returncode == 0, done.stderr
 
 
-OPTIONAL = {"numba", "scipy", "threadpoolctl", "matplotlib", "rosbags", "lz4", "backports", "rich"}
+OPTIONAL = {
+    *("numba", "scipy", "threadpoolctl", "matplotlib", "jinja2", "markupsafe", "pyarrow"),
+    *("rosbags", "lz4", "backports", "rich"),
+}
 OPTIMISER = {"mobo_tuner.core", "mobo_tuner.runs", "mobo_tuner.tuner"}
 
 
