@@ -12,7 +12,7 @@ from mobo_tuner.core.problem import Problem
 from mobo_tuner.runs.journal import Journal
 from mobo_tuner.runs.records import StartRecord, to_json
 
-TWO = {
+TWO: dict[str, Any] = {
     "variables": {"x1": {"min": 0.0, "max": 4.0, "unit": "A"}},
     "objectives": {
         "f1": {"reference": 10.0, "unit": "mm"},

@@ -181,6 +181,12 @@ def extras_of(package: str, file: str) -> list[str]:
     return EXTRA_OF[package][max(fitting, key=len)] if fitting else []
 
 
+def test_the_templates_of_the_report_are_there(wheels: dict[str, zipfile.ZipFile]) -> None:
+    templates = {path.name for path in (MOBO_TUNER / "runs/report/templates").iterdir()}
+    names = {Path(n).name for n in wheels["mobo_tuner"].namelist() if "/report/templates/" in n}
+    assert templates == names
+
+
 @pytest.mark.parametrize("package", EXECUTABLES)
 def test_every_import_is_declared_for_pip_and_for_ros(
     wheels: dict[str, zipfile.ZipFile], package: str
