@@ -155,7 +155,8 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
     _add_machine(resume, "that of the run")
     _add_surroundings(resume, "as that of the run")
 
-    add("report", "make the report of a run anew").add_argument("run", metavar="RUN", help=RUN_HELP)
+    report = add("report", "create the report of a run again, or that of a bag")
+    report.add_argument("run", metavar="RUN", help=RUN_HELP + " or of a bag")
     compare = add("compare", "compare runs in one HTML file")
     compare.add_argument("runs", metavar="RUN", nargs="+", help=RUN_HELP)
     compare.add_argument(
@@ -169,12 +170,15 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
     export.add_argument(
         "--format", choices=("csv", "parquet"), default="csv", help="format (default: csv)"
     )
-    rebuild = add("rebuild", "make a run anew from its bag alone, also from one that was cut off")
-    rebuild.add_argument("bag", metavar="BAG", type=Path, help="folder of the bag, or .mcap file")
+    rebuild = add("rebuild", "create a run from its bag alone, even an incomplete one")
+    rebuild.add_argument(
+        "bag", metavar="BAG", type=Path, help="folder of the bag, or one of its files"
+    )
     rebuild.add_argument("--run-id", metavar="ID", type=_run_id, help="name of the new run folder")
-    rebuild.add_argument("--of", metavar="ID", help="which run, where the bag holds several")
-    replay = add("replay", "ask for every suggestion of a run again, and compare")
+    replay = add("replay", "compute every suggestion of a run or a bag again, and compare")
     replay.add_argument("run", metavar="RUN", help=RUN_HELP + " or of a bag")
+    for verb in (report, rebuild, replay):
+        verb.add_argument("--of", metavar="ID", help="name of the run, if a bag holds several")
     return parser
 
 

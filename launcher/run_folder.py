@@ -23,6 +23,8 @@ RUN_FILE = "run.json"
 CONFIG_FILE = "config.yaml"
 SUMMARY_FILE = "summary.json"
 JOURNAL_FILE = "journal.jsonl"
+BAG_FILE = "metadata.yaml"
+BAG_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
 class RunFolder:
@@ -240,6 +242,13 @@ class RunFolder:
         if not isinstance(content, dict):
             raise RunFolderError(f"'{path}' is broken: it holds no JSON object")
         return content
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a path is that of a bag's folder or of one of its files."""
+    if not path.is_dir():
+        return path.is_file() and path.name.endswith(BAG_SUFFIXES)
+    return any(file.name == BAG_FILE or file.name.endswith(BAG_SUFFIXES) for file in path.iterdir())
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

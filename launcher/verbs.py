@@ -13,7 +13,7 @@ from launcher.errors import LauncherError, RunFolderError, UsageError
 from launcher.processes import Interrupted
 from launcher.programs import LONG, THREADS, open_project
 from launcher.run import check_arguments, now
-from launcher.run_folder import JOURNAL_FILE, RunFolder, table
+from launcher.run_folder import JOURNAL_FILE, RunFolder, is_bag, table
 from launcher.supervisor import EXIT_LIMIT
 
 TEST_TIMEOUT = 3600.0  # [s]
@@ -88,11 +88,14 @@ def show(options: argparse.Namespace) -> None:
 
 
 def report(options: argparse.Namespace) -> None:
-    """Make the report of a run anew, from its journal.
+    """Create the report of a run from its journal; a bag is rebuilt first, in a folder of its own.
 
     Raises:
         UsageError, SetupError, RunFolderError, Interrupted, OSError
     """
+    if is_bag(Path(options.run)):
+        _rebuild(options, Path(options.run), None)
+        return
     folder = RunFolder.find(options.run, options.runs_dir)
     with open_project(options.root) as project:
         project.ask("mobo_tuner.runs.report", folder.path, show=True)
@@ -124,17 +127,20 @@ def export(options: argparse.Namespace) -> None:
 
 
 def rebuild(options: argparse.Namespace) -> None:
-    """Make a run anew from its bag alone.
+    """Create a run from its bag alone.
 
     Raises:
         UsageError, SetupError, RunFolderError, Interrupted, OSError
     """
-    bag: Path = options.bag.resolve()
+    _rebuild(options, options.bag, options.run_id)
+
+
+def _rebuild(options: argparse.Namespace, path: Path, run_id: str | None) -> None:
+    bag = path.resolve()
     with open_project(options.root) as project, tempfile.TemporaryDirectory() as scratch:
-        which = ["--of", options.of] if options.of else []
-        arguments = (bag, scratch, *which)
-        project.ask("mobo_tuner.runs.rebuild", *arguments, timeout=LONG)
-        folder = RunFolder.create(options.runs_dir, options.run_id, "rebuilt")
+        arguments = (bag, scratch, *_which(options))
+        project.ask("mobo_tuner.runs.rebuild", *arguments, show=True, timeout=LONG)
+        folder = RunFolder.create(options.runs_dir, run_id, "rebuilt")
         shutil.copy(Path(scratch, JOURNAL_FILE), folder.path)
         folder.record(
             {"run_id": folder.run_id, "state": "rebuilt", "started": now(), "bag": str(bag)}
@@ -144,14 +150,19 @@ def rebuild(options: argparse.Namespace) -> None:
 
 
 def replay(options: argparse.Namespace) -> None:
-    """Ask for every suggestion of a run again, and say whether they are the same.
+    """Compute every suggestion of a run or a bag again, and say whether they are the same.
 
     Raises:
         UsageError, SetupError, RunFolderError, Interrupted, OSError
     """
     path = Path(options.run)
-    if not (path.suffix == ".mcap" or any(path.glob("*.mcap"))):
+    if not is_bag(path):
         path = RunFolder.find(options.run, options.runs_dir).path
     with open_project(options.root) as project:
         module = "mobo_tuner.runs.replay"
-        project.ask(module, path.resolve(), show=True, timeout=LONG)
+        project.ask(module, path.resolve(), *_which(options), show=True, timeout=LONG)
+
+
+def _which(options: argparse.Namespace) -> list[str]:
+    """Return the arguments that name one of several runs in a bag."""
+    return [f"--of={options.of}"] if options.of else []

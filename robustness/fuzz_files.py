@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import rosbags.convert
 import yaml
 
 from awa_sim_node.describe import describe_file as describe_simulator
@@ -120,7 +121,22 @@ class Fuzzer:
         (self._run / "config.yaml").write_bytes((ROOT / "config/toy.yaml").read_bytes())
         write_bag(scratch / "bag", self._records)
         [bag] = (scratch / "bag").glob("*.mcap")
-        self._bag = bag.read_bytes()
+        rosbags.convert.convert(
+            [scratch / "bag"],
+            scratch / "sqlite",
+            dst_storage="sqlite3",
+            dst_version=9,
+            compress=None,
+            compress_mode="none",
+            default_typestore=None,
+            typestore=None,
+            exclude_topics=(),
+            include_topics=(),
+            exclude_msgtypes=(),
+            include_msgtypes=(),
+        )
+        [database] = (scratch / "sqlite").glob("*.db3")
+        self._bags = {".mcap": bag.read_bytes(), ".db3": database.read_bytes()}
         self._state = (self._run / STATE_NAME).read_bytes()
         recorded = RecordedRun.from_records(self._records)
         self._facts = {"run_id": "run", "state": "finished", "pid": 1, "arguments": {"seed": 1}}
@@ -207,8 +223,9 @@ class Fuzzer:
             saved.revive(self._history)
 
     def _rebuilt(self) -> None:
-        path = self._scratch / "altered.mcap"
-        path.write_bytes(self._altered_bytes(self._bag))
+        suffix = str(self._rng.choice(list(self._bags)))
+        path = self._scratch / f"altered{suffix}"
+        path.write_bytes(self._altered_bytes(self._bags[suffix]))
         runs_of_bag(path)
         records_of_bag(path)
 

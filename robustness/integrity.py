@@ -10,9 +10,10 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
+from mobo_tuner.runs.bag_messages import BagError
 from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import JournalError, JsonRecord, read_journal
-from mobo_tuner.runs.rebuild import BagError, records_of_bag, runs_of_bag
+from mobo_tuner.runs.rebuild import records_of_bag, runs_of_bag
 from mobo_tuner.runs.replay import compare
 
 

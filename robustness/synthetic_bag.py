@@ -20,7 +20,11 @@ from mobo_tuner.runs.records import (
     StartRecord,
     from_json,
 )
-from mobo_tuner.tuner.messages import evaluation_message, run_records_message
+from mobo_tuner.tuner.messages import (
+    evaluation_message,
+    problem_message,
+    run_records_message,
+)
 
 TICK = 10_000_000  # [ns] between two messages
 START = 1_700_000_000_000_000_000  # [ns]
@@ -38,6 +42,7 @@ def write_bag(bag: Path, *runs: Sequence[JsonRecord]) -> None:
     connections = {}
     for topic, kind in (
         ("/run_records", "RunRecords"),
+        ("/problem", "Problem"),
         ("/evaluation", "Evaluation"),
         ("/status", "TunerStatus"),
     ):
@@ -66,6 +71,7 @@ def _messages(records: Sequence[JsonRecord]) -> list[tuple[str, Any]]:
             problem = record.problem
             outline += journal_line(content).decode()
             messages.append(("/run_records", run_records_message(outline, run_id, Time())))
+            messages.append(("/problem", problem_message(problem, run_id, Time())))
         elif isinstance(record, EvaluationRecord):
             messages.append(("/evaluation", evaluation_message(problem, record, run_id)))
         elif isinstance(record, EndRecord):

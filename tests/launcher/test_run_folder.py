@@ -11,13 +11,32 @@ from launcher import run_folder
 from launcher.errors import RunFolderError
 from launcher.run_folder import RunFolder
 from mobo_tuner.nodes import check_config
-from mobo_tuner.runs import journal, resume_config
+from mobo_tuner.runs import bag_messages, journal, resume_config
 from mobo_tuner.runs.run_id import check_run_id
 
 
 def test_the_names_of_files_are_those_of_the_tuner() -> None:
     assert run_folder.JOURNAL_FILE == journal.FILE_NAME
     assert run_folder.CONFIG_FILE == resume_config.CONFIG_FILE == check_config.CONFIG_FILE
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        *((f"bag{suffix}", True) for suffix in bag_messages.SUFFIXES),
+        (bag_messages.METADATA, True),
+        ("journal.jsonl", False),
+    ],
+)
+def test_a_bag_is_known_by_its_files(tmp_path: Path, name: str, expected: bool) -> None:
+    file = tmp_path / "run" / name
+    file.parent.mkdir()
+    assert not bag_messages.is_bag(file)
+    assert not run_folder.is_bag(file)
+    file.touch()
+    for path in (file.parent, *([file] if name != bag_messages.METADATA else [])):
+        assert bag_messages.is_bag(path) is expected
+        assert run_folder.is_bag(path) is expected
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mobo_tuner.runs.bag_messages import BagError
 from mobo_tuner.runs.journal import JsonRecord, read_journal
-from mobo_tuner.runs.rebuild import BagError, main, records_of_bag, runs_of_bag
+from mobo_tuner.runs.rebuild import main, records_of_bag, runs_of_bag
 from mobo_tuner.runs.records import EndRecord
 from robustness.offline_run import OfflineRun, toy, toy_optimizer
 from robustness.synthetic_bag import write_bag

@@ -170,7 +170,7 @@ def spoilt(tmp_path: Path) -> Path:
         ("rebuild {0}/noise.mcap", "is no MCAP file"),
         ("rebuild {0}/empty.mcap", "holds no run with its problem"),
         ("rebuild {0}/nowhere", "cannot be read: No such file"),
-        ("rebuild {0}/runs/empty", "holds no MCAP file"),
+        ("rebuild {0}/runs/empty", "holds no MCAP file and no SQLite file"),
     ],
 )
 def test_what_is_no_run_is_refused_in_one_sentence(spoilt: Path, words: str, sentence: str) -> None:

@@ -12,6 +12,12 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import get_types_from_msg
+
+MAX_TEXT = 1 << 17  # characters of a definition that is parsed
 
 
 class DefinitionError(LookupError):
@@ -59,6 +65,43 @@ def find_definition(type_name: str, prefixes: Sequence[Path] | None = None) -> D
         package, _, short_name = name.split("/")
         parts.append(f"{'=' * 80}\nMSG: {package}/{short_name}\n{_read(name, '.msg', prefixes)}")
     return Definition("\n".join(parts), type_hash)
+
+
+def same_fields(type_name: str, text: str, other: str) -> bool:
+    """Return whether two definitions give a type, and the types in it, the same fields.
+
+    Comments, blank lines, constants and the order of the types do not count. A text is not trusted: one that cannot
+    be parsed is not the same.
+    """
+    if text == other:
+        return True
+    if len(text) > MAX_TEXT:
+        return False
+    try:
+        return _fields(type_name, text) == _fields(type_name, other)
+    except Exception:  # the parser raises any exception
+        return False
+
+
+def _fields(type_name: str, text: str) -> dict[str, list[Any]]:
+    """Return the fields of a type and of all types in it."""
+    types = get_types_from_msg(text, type_name)
+    found: dict[str, list[Any]] = {}
+    waiting = [type_name]
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            _, found[name] = types[name]
+            waiting += [used for _, kind in found[name] for used in _names(kind)]
+    return found
+
+
+def _names(kind: Any) -> list[str]:
+    """Return the name of a field's type if it is a message."""
+    node, content = kind
+    if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        return _names(content[0])
+    return [content] if node == Nodetype.NAME else []
 
 
 def default_prefixes() -> list[Path]:

@@ -80,13 +80,25 @@ class History:
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Settings of the tuner at the start."""
+        """Settings of the tuner at the start; empty if unknown."""
         return self.start.settings
+
+    def require_settings(self) -> None:
+        """Check that the settings are known, without which no suggestion can be computed again.
+
+        Raises:
+            JournalError: If they are unknown.
+        """
+        if not self.settings:
+            raise JournalError(
+                f"the settings of run '{self.run_id}' are unknown, because it was rebuilt from a bag without "
+                "run_records; it can be neither replayed nor resumed"
+            )
 
     @property
     def model_input(self) -> str:
-        """What the models learn from: SETPOINT or READBACK."""
-        return str(self.settings["model_input"])
+        """What the models learn from: SETPOINT or READBACK; SETPOINT if unknown."""
+        return str(self.settings.get("model_input", SETPOINT))
 
     @property
     def steps(self) -> tuple[Step, ...]:
@@ -227,6 +239,8 @@ class _Builder:
 
 
 def _check_settings(settings: Mapping[str, Any]) -> None:
+    if not settings:
+        return
     model_input = settings.get("model_input")
     if model_input not in (SETPOINT, READBACK):
         raise ValueError(f"model_input is {model_input!r:.40}; {SETPOINT}, {READBACK} are allowed")

@@ -2,17 +2,17 @@
 
 `python -m mobo_tuner.runs.rebuild BAG RUN_FOLDER` writes `journal.jsonl` into a folder that has none.
 
-The topic `run_records` carries how the run was set up and changed, `evaluation` what was measured, and
-`status` how it ended. Messages are decoded by the definitions that are installed here, never by
-code made from what the bag says of itself.
+`RunRecords` messages carry how the run was set up and changed, `Evaluation` what was measured, and `TunerStatus` how
+the run ended. Without the first, the problem is that of the `Problem` messages, and the settings of the tuner are
+unknown. Messages are known by their types, whatever their topics are called, and are decoded by the definitions that
+are installed here, never by code made from what the bag says of itself.
 """
 
 from __future__ import annotations
 
 import argparse
-import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -21,41 +21,54 @@ from typing import Any
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from mobo_tuner.errors import UserError
-from mobo_tuner.runs.definitions import DefinitionError, find_definition
+from mobo_tuner.core.problem import Problem
+from mobo_tuner.runs.bag_messages import BagError, read_bag
+from mobo_tuner.runs.definitions import DefinitionError, find_definition, same_fields
 from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import Journal, JournalError, JsonRecord, journal_line, parse_journal
-from mobo_tuner.runs.mcap_records import McapError, Message, read_messages
-from mobo_tuner.runs.records import EndRecord, from_message, seconds, to_json
+from mobo_tuner.runs.mcap_records import Message, Schema
+from mobo_tuner.runs.records import (
+    ChangeRecord,
+    EndRecord,
+    StartRecord,
+    from_message,
+    problem_from_message,
+    seconds,
+    to_json,
+)
 
-OUTLINE, EVALUATION, STATUS = TYPES = (
+OUTLINE, PROBLEM, EVALUATION, STATUS = TYPES = (
     "mobo_msgs_py/msg/RunRecords",
+    "mobo_msgs_py/msg/Problem",
     "mobo_msgs_py/msg/Evaluation",
     "mobo_msgs_py/msg/TunerStatus",
 )
 
 
-class BagError(UserError):
-    """A bag from which no run can be rebuilt; the message is one sentence for the user."""
-
-
 @dataclass
 class BaggedRun:
-    """What a bag holds of one run.
+    """Everything that a bag holds of one run.
 
     Attributes:
-        outline: its start record and its changes; empty where the bag lacks its beginning.
-        evaluations: their records by index.
-        end: its end record, if it ended.
+        outline: Its start record and its changes; empty if the bag lacks them.
+        problems: The same, made of its `Problem` messages, with unknown settings and budgets.
+        evaluations: Its evaluations by index.
+        end: Its end record; None if the run did not end.
     """
 
     outline: list[JsonRecord] = field(default_factory=list)
+    problems: list[JsonRecord] = field(default_factory=list)
     evaluations: dict[int, JsonRecord] = field(default_factory=dict)
     end: JsonRecord | None = None
 
+    @property
+    def has_problem(self) -> bool:
+        """Whether its problem is known, without which it cannot be rebuilt."""
+        return bool(self.outline or self.problems)
+
     def journal(self) -> list[JsonRecord]:
-        """The records of its journal, as far as all before them are there, too."""
-        start, *changes = self.outline
+        """Return the records of its journal up to the first one that is missing."""
+        start, *changes = self.outline or self.problems
         records = [start]
         count = 0
         while True:
@@ -68,47 +81,60 @@ class BaggedRun:
             records.append(self.end)
         return records
 
+    def add_problem(self, problem: Problem, run_id: str, stamp: float) -> None:
+        """Add a problem that was published; one that only tells its references replaces the last one."""
+        if not self.problems:
+            start = StartRecord(run_id, stamp, problem, settings={})
+            self.problems.append(_strict(to_json(start)))
+            return
+        content = problem.to_dict()
+        last = self.problems[-1]
+        if _with_references_of(content, last["problem"]) == content:
+            last["problem"] = content
+            return
+        index = 0
+        while index in self.evaluations:
+            index += 1
+        change = to_json(ChangeRecord(stamp, index, problem, budget=0))
+        self.problems.append(_strict(change))
+
 
 def runs_of_bag(path: Path) -> dict[str, BaggedRun]:
-    """The runs in a bag, by their ids.
+    """Return the runs in a bag, by their ids.
 
     Args:
-        path: of a bag's folder, or of an MCAP file.
+        path: Folder of a bag, or one of its files.
 
     Raises:
-        BagError: there is no such bag.
+        BagError: If there is no such bag, or it cannot be read.
     """
-    files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
-    if not files:
-        raise BagError(f"'{path}' holds no MCAP file")
     runs: dict[str, BaggedRun] = {}
-    try:
-        for file in files:
-            for message in read_messages(file):
-                if message.schema.name in TYPES:
-                    _take(message, runs)
-    except (DefinitionError, McapError) as error:
-        raise BagError(str(error)) from None
+    for message in read_bag(path):
+        if message.schema.name in TYPES:
+            _check_version(message.schema)
+            _take(message, runs)
     return runs
 
 
 def records_of_bag(path: Path, run_id: str | None = None) -> list[JsonRecord]:
-    """The records of a run's journal, from its bag.
+    """Return the records of a run's journal, from its bag.
 
     Args:
-        path: of the bag.
-        run_id: of the run; may be None where the bag holds only one.
+        path: Folder of the bag, or one of its files.
+        run_id: Name of the run; may be None if the bag holds only one.
 
     Raises:
-        BagError: the run is not there, or not so that it can be rebuilt.
+        BagError: If the run is not there, or cannot be rebuilt.
     """
-    runs = {name: run for name, run in runs_of_bag(path).items() if run.outline}
+    runs = {name: run for name, run in runs_of_bag(path).items() if run.has_problem}
     if run_id is None and len(runs) > 1:
-        raise BagError(f"the bag '{path}' holds several runs: {', '.join(list(runs)[:20])}")
+        raise BagError(
+            f"the bag '{path}' holds several runs: {', '.join(list(runs)[:20])}; --of names one"
+        )
     names = [run_id] if run_id is not None else list(runs)
     if not names or names[0] not in runs:
         which = "no run" if run_id is None else f"no run '{run_id[:120]}'"
-        raise BagError(f"the bag '{path}' holds {which} with its records")
+        raise BagError(f"the bag '{path}' holds {which} with its problem")
     records = runs[names[0]].journal()
     try:
         History.from_records(records)
@@ -117,15 +143,28 @@ def records_of_bag(path: Path, run_id: str | None = None) -> list[JsonRecord]:
     return records
 
 
+@cache
+def _check_version(schema: Schema) -> None:
+    """Check that a type in a bag has the fields of the one installed here; a bag may lack its definition.
+
+    Raises:
+        BagError: If it has other fields.
+    """
+    try:
+        installed = find_definition(schema.name).text
+    except DefinitionError as error:
+        raise BagError(str(error)) from None
+    if schema.text and not same_fields(schema.name, schema.text, installed):
+        raise BagError(f"the bag holds another version of {schema.name} than is installed here")
+
+
 def _take(message: Message, runs: dict[str, BaggedRun]) -> None:
-    """Take up one message; one that is damaged is passed over, for a later one may be whole."""
+    """Add one message to its run; a damaged one is skipped, because a later one may be whole."""
     name = message.schema.name
-    if _fields(message.schema.text) != _fields(find_definition(name).text):
-        raise BagError(f"the bag holds another version of {name} than is installed here")
     try:
         content: Any = _typestore().deserialize_cdr(message.data, name)
         run_id = content.run_id
-    except Exception:  # the decoder raises whatever it stumbles over
+    except Exception:  # the decoder raises any exception
         return
     if not run_id:
         return
@@ -135,6 +174,9 @@ def _take(message: Message, runs: dict[str, BaggedRun]) -> None:
             outline = parse_journal(content.records.encode(), "the topic 'run_records'")
             if len(outline) >= len(run.outline):
                 run.outline = outline
+        elif name == PROBLEM:
+            stamp = seconds(content.header.stamp)
+            run.add_problem(problem_from_message(content), run_id, stamp)
         elif name == EVALUATION:
             record = _strict(to_json(from_message(content)))
             run.evaluations.setdefault(record["index"], record)
@@ -148,11 +190,22 @@ def _take(message: Message, runs: dict[str, BaggedRun]) -> None:
         return
 
 
+def _with_references_of(problem: Mapping[str, Any], last: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the last problem with those references that it lacks and the other problem has."""
+    known = {
+        name: {"reference": entry["reference"]}
+        for name, entry in problem["objectives"].items()
+        if "reference" in entry
+    }
+    objectives = {name: known.get(name, {}) | entry for name, entry in last["objectives"].items()}
+    return {**last, "objectives": objectives}
+
+
 def _strict(record: JsonRecord) -> JsonRecord:
-    """A record as it is read from a journal.
+    """Return a record as it is read from a journal.
 
     Raises:
-        ValueError: it cannot stand in one.
+        ValueError: If it cannot stand in one.
     """
     [_, same] = parse_journal(b'{"type":"start"}\n' + journal_line(record), "the bag")
     return same
@@ -166,13 +219,6 @@ def _typestore() -> Typestore:
     return store
 
 
-@cache
-def _fields(definition: str) -> tuple[str, ...]:
-    """What a definition says, without its comments."""
-    lines = (re.sub(r"\s+", " ", line.split("#")[0]).strip() for line in definition.splitlines())
-    return tuple(line for line in lines if line and not line.startswith("===="))
-
-
 def write_run(records: Sequence[JsonRecord], run_dir: Path) -> None:
     """Write the journal of a rebuilt run.
 
@@ -183,18 +229,21 @@ def write_run(records: Sequence[JsonRecord], run_dir: Path) -> None:
     Journal.create(run_dir, records).close()
 
 
-def _kinds(records: Iterable[JsonRecord]) -> str:
+def _summary(records: Sequence[JsonRecord]) -> str:
     counts = {"evaluation": 0, "change": 0}
     for record in records:
         if record["type"] in counts:
             counts[record["type"]] += 1
-    return f"{counts['evaluation']} evaluations and {counts['change']} changes"
+    text = f"{counts['evaluation']} evaluations and {counts['change']} changes"
+    text += f" of run '{records[0]['run_id']}'"
+    unknown = "the settings of the tuner are unknown, because the bag has no run_records"
+    return text if records[0].get("settings") else f"{text}; {unknown}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Rebuild one run; return the exit status."""
     parser = argparse.ArgumentParser(prog="mobo_tuner.runs.rebuild", description="Run from a bag.")
-    parser.add_argument("bag", type=Path, help="the bag's folder, or an .mcap file of it")
+    parser.add_argument("bag", type=Path, help="folder of the bag, or one of its files")
     parser.add_argument("run_folder", type=Path, help="where the journal is written")
     parser.add_argument("--of", help="which run, where the bag holds several")
     options = parser.parse_args(arguments)
@@ -204,7 +253,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (BagError, OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 1
-    print(f"{_kinds(records)} of run '{records[0]['run_id']}' are in {options.run_folder}")
+    print(_summary(records))
     return 0
 
 

@@ -24,6 +24,9 @@ Source = Literal["initial", "model", "operator"]
 SOURCES: tuple[Source, ...] = get_args(Source)
 """Sources by the constants of `mobo_msgs_py/msg/Evaluation`: INITIAL, MODEL, OPERATOR."""
 
+DIRECTIONS = ("minimize", "maximize")
+"""Directions by the constants of `mobo_msgs_py/msg/Objective`: MINIMIZE, MAXIMIZE."""
+
 Stamp = float  # [s since the epoch]
 Short = int  # at most 65535 in a message
 Values = Mapping[str, float]
@@ -41,7 +44,8 @@ class StartRecord:
         run_id: Name of the run.
         stamp: When it started [s].
         problem: Problem at the start.
-        settings: Parameters of the tuner, the budget and the hypervolume goal.
+        settings: Parameters of the tuner, the budget and the hypervolume goal; empty if unknown, in a run that was
+            rebuilt from a bag without `run_records`.
         resumed_from: `run_id` and number of `evaluations` of the run that this one resumes.
     """
 
@@ -102,7 +106,7 @@ class EvaluationRecord:
 
 @dataclass(frozen=True)
 class ChangeRecord:
-    """Another problem or budget, in force from the evaluation `index` on."""
+    """Another problem or budget (0 = unknown), in force from the evaluation `index` on."""
 
     stamp: Stamp
     index: int
@@ -227,6 +231,51 @@ def from_message(message: Any) -> EvaluationRecord:
         if field.name != "stamp":
             content[field.name] = _KINDS[str(field.type)].take(getattr(message, field.name))
     return EvaluationRecord(**content)
+
+
+def problem_from_message(message: Any) -> Problem:
+    """Return the problem of a `Problem` message, of rclpy or of a reader of bags.
+
+    Raises:
+        ValueError, AttributeError: If the message is not a valid problem.
+    """
+    sections: dict[str, dict[str, dict[str, Any]]] = {
+        "variables": _entries(
+            message.variables,
+            lambda v: {"min": v.min, "max": v.max, "unit": v.unit, "cost": v.cost},
+        ),
+        "objectives": _entries(message.objectives, _objective),
+        "constraints": _entries(
+            message.constraints,
+            lambda c: {**_finite(min=c.min, max=c.max), "unit": c.unit, "critical": c.critical},
+        ),
+        "observables": _entries(message.observables, lambda o: {"unit": o.unit}),
+    }
+    return Problem.from_dict(sections)
+
+
+def _entries(items: Iterable[Any], entry: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+    """Return a section of a problem from a message's items."""
+    section: dict[str, Any] = {}
+    for item in items:
+        if item.name in section:
+            raise ValueError(f"the name {item.name!r:.40} is used twice")
+        section[item.name] = entry(item)
+    return section
+
+
+def _objective(item: Any) -> dict[str, Any]:
+    if not 0 <= item.direction < len(DIRECTIONS):
+        raise ValueError(f"direction is {item.direction}; 0 to {len(DIRECTIONS) - 1} is allowed")
+    entry = {"direction": DIRECTIONS[item.direction], "unit": item.unit}
+    if item.truncated:
+        entry["truncation"] = [float(item.truncation_min), float(item.truncation_max)]
+    return entry | _finite(reference=item.reference)
+
+
+def _finite(**values: float) -> dict[str, float]:
+    """Return those values that are finite; the others stand for what is not given."""
+    return {name: float(value) for name, value in values.items() if math.isfinite(value)}
 
 
 class _Kind(NamedTuple):

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from mobo_tuner.core import Optimizer
 from mobo_tuner.errors import UserError
+from mobo_tuner.runs.bag_messages import is_bag
 from mobo_tuner.runs.history import History, Step, told_of
 from mobo_tuner.runs.journal import JsonRecord, read_journal
 from mobo_tuner.runs.optimizer_settings import make_optimizer
@@ -81,8 +82,10 @@ def compare(history: History) -> list[Comparison]:
     """Live through a run and ask for each of its suggestions.
 
     Raises:
+        JournalError: If the settings are unknown.
         ProblemError: the history cannot have happened.
     """
+    history.require_settings()
     optimizer = make_optimizer(history.problem, history.settings)
     comparisons = []
     for step in history.steps:
@@ -93,24 +96,27 @@ def compare(history: History) -> list[Comparison]:
     return comparisons
 
 
-def records_of(path: Path) -> list[JsonRecord]:
-    """The records of a run folder or journal, or those that a bag tells.
+def records_of(path: Path, run_id: str | None = None) -> list[JsonRecord]:
+    """Return the records of a run.
+
+    Args:
+        path: Run folder, journal, folder of a bag, or one of its files.
+        run_id: Name of the run; may be None if the path holds only one.
 
     Raises:
-        JournalError, BagError: it is neither, or cannot be read.
+        JournalError, BagError: If it is none of these, or cannot be read.
     """
-    if path.suffix == ".mcap" or (path.is_dir() and any(path.glob("*.mcap"))):
-        return records_of_bag(path)
-    return read_journal(path)
+    return records_of_bag(path, run_id) if is_bag(path) else read_journal(path)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Compare one run; return 0 where every suggestion is the same, else 1."""
     parser = argparse.ArgumentParser(prog="mobo_tuner.runs.replay", description="Replay of a run.")
-    parser.add_argument("run", type=Path, help="run folder, journal, bag folder or .mcap file")
-    path = parser.parse_args(arguments).run
+    parser.add_argument("run", type=Path, help="run folder, journal, folder or file of a bag")
+    parser.add_argument("--of", help="name of the run, if the bag holds several")
+    options = parser.parse_args(arguments)
     try:
-        comparisons = compare(History.from_records(records_of(path)))
+        comparisons = compare(History.from_records(records_of(options.run, options.of)))
     except UserError as error:
         print(error, file=sys.stderr)
         return 1

@@ -42,6 +42,7 @@ def resume_config(run_dir: Path, config: Path | None, evaluations: int | None) -
         ProblemError: it cannot be gone on with like this.
     """
     history = History.from_records(read_journal(run_dir))
+    history.require_settings()
     told = len(history.evaluations)
     if (evaluations or history.budget) <= told:
         has = f"the run '{history.run_id}' has {told} evaluations already"

@@ -102,6 +102,8 @@ def _headline(run: RecordedRun) -> Text:
     )
     if run.error_msg:
         text.append(f"\n{run.error_msg}", "red")
+    if not run.settings:
+        text.append("\nThe settings of the tuner are unknown.", "dim")
     return text
 
 

@@ -67,6 +67,7 @@ def _read(runs_dir: str, run_id: str) -> Earlier:
     if folder.resolve().parent != Path(runs_dir).resolve():
         raise ValueError(f"the run '{run_id}' is a link out of '{runs_dir}'")
     history = History.from_records(read_journal(folder))
+    history.require_settings()
     return Earlier(history, restore(history, SavedState.read(folder)))
 
 
