@@ -22,14 +22,11 @@ def make_optimizer(problem: Problem, settings: Mapping[str, Any]) -> Optimizer:
 
     Args:
         problem: Problem that is tuned.
-        settings: Settings of the tuner, as a journal records them; if empty, they are unknown, and the
-            default ones give the models of a report.
+        settings: Settings of the tuner, as a journal records them.
 
     Raises:
         ProblemError: If one is missing, not allowed or does not suit the problem.
     """
-    if not settings:
-        return Optimizer(problem)
     method = method_of(settings).to_dict()
     if "seed" not in settings:
         raise ProblemError("the settings lack 'seed'")

@@ -26,7 +26,7 @@ from mobo_tuner.runs.saved_state import SavedState
 def restore(
     history: History, saved: SavedState | None = None, *, retrain: bool = True
 ) -> Optimizer:
-    """Return the optimiser of a run as it was after its last step.
+    """Return the optimiser of a run as it was after its last step; with the default settings if they are unknown.
 
     Args:
         history: History of the run.
@@ -39,8 +39,10 @@ def restore(
         ProblemError: If the history cannot have happened.
     """
     optimizer, position = (saved.revive(history) if saved else None) or (None, 0)
-    if optimizer is None:
+    if optimizer is None and history.settings:
         optimizer = make_optimizer(history.problem, history.settings)
+    elif optimizer is None:  # the run was rebuilt from a bag without run_records
+        optimizer = Optimizer(history.problem)
     for step in history.steps[position:]:
         if retrain and isinstance(step, EvaluationRecord):
             optimizer.catch_up()
