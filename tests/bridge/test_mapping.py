@@ -13,6 +13,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from mobo_tuner.bridge.describe import mapping_file
 from mobo_tuner.bridge.mapping import load_mapping, parse_mapping
 from mobo_tuner.bridge.section import MappingError
 from mobo_tuner.machine.averaging import OutlierRule
@@ -208,3 +209,14 @@ def test_whatever_stands_at_a_key_is_read_or_refused(path: str, value: Any) -> N
 def test_whatever_a_file_holds_is_refused_in_one_sentence(content: Any) -> None:
     with pytest.raises(MappingError, match=r"^f\.yaml: "):
         parse_mapping(content, "f.yaml")
+
+
+def test_a_mapping_is_relative_to_the_file_that_names_it(tmp_path: Path) -> None:
+    mine, launched = tmp_path / "mine" / "a.yaml", tmp_path / "launch_params_1"
+    mine.parent.mkdir()
+    mine.write_text("/**/machine_bridge: {ros__parameters: {mapping: m.yaml}}")
+    launched.write_text("/**: {ros__parameters: {use_sim_time: false}}")
+    line = ["--ros-args", "--params-file", str(mine), "--params-file", str(launched)]
+    assert mapping_file("m.yaml", line) == mine.parent / "m.yaml"
+    assert mapping_file("m.yaml", [*line, "-p", "mapping:=m.yaml"]) == Path("m.yaml")
+    assert mapping_file("m.yaml", []) == Path("m.yaml")

@@ -59,6 +59,10 @@ def test_two_suites_live_in_one_domain_with_one_file(
     )
     assert front_a == front_b  # one seed, two machines
 
+    latest = Listener(node, msg.Evaluation, "A/latest_evaluation", LATCHED)
+    spin_until(lambda: latest.messages, "the newest evaluation, by a late subscriber")
+    assert [m.index for m in latest.messages] == [3]
+
     def parts() -> dict[str, Any]:
         return {s.name: s for m in health.messages for s in m.status}
 
@@ -90,9 +94,16 @@ def test_two_tuners_tell_of_each_other(
     tmp_path: Path,
 ) -> None:
     health = Listener(node, DiagnosticArray, "/diagnostics", STREAM)
+
+    def levels(name: str) -> set[bytes]:
+        return {s.level for m in health.messages for s in m.status if s.name == name}
+
     statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
     first = start_tuner()
     spin_until(lambda: "ready" in first.stderr, "the first tuner")
+    spin_until(lambda: levels("tuner: machine"), "its health")
+    assert levels("tuner: machine") == {DiagnosticStatus.STALE}  # there is none
+    assert levels("tuner: run") == {DiagnosticStatus.OK}
     second = start_tuner()
     # Of another namespace, but for the same machine.
     remapped = ["-r", "__ns:=/B", "-r", "/B/heartbeat:=/heartbeat", "-p", f"runs_dir:={tmp_path}"]
@@ -106,11 +117,8 @@ def test_two_tuners_tell_of_each_other(
             lambda: f"another tuner, {rivals}, also publishes" in tuner.stderr,  # noqa: B023
             f"the warning of {rivals}",
         )
-    warned = ("tuner: run", "B/tuner: run")
     spin_until(
-        lambda: (
-            {s.name for m in health.messages for s in m.status if s.level != b"\0"} >= {*warned}
-        ),
+        lambda: all(DiagnosticStatus.WARN in levels(f"{n}: run") for n in ("tuner", "B/tuner")),
         "the warning on /diagnostics",
     )
     spin_until(

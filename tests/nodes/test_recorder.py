@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rclpy.node import Node
@@ -28,7 +29,7 @@ from mobo_msgs_py.msg import Evaluation, NamedValue, Problem, RecorderStatus, Va
 from mobo_tuner.ros.qos import LATCHED, STREAM
 from mobo_tuner.runs.rebuild import records_of_bag
 from tests.support.processes import NodeProcess, NodeStarter
-from tests.support.tuner import GoalClient, journal
+from tests.support.tuner import GoalClient, Listener, journal
 
 SpinUntil = Callable[..., None]
 
@@ -328,6 +329,11 @@ def test_a_write_error_is_reported_and_the_node_lives_on(
     assert recording.status.message == "the bag cannot be written: File too large"
     seen = recording.statuses
     spin_until(lambda: recording.statuses >= seen + 2, "the node to live on")
+    health = Listener(node, DiagnosticArray, "/diagnostics", STREAM)
+    spin_until(lambda: health.messages, "its health")
+    (bag,) = health.messages[-1].status
+    assert (bag.name, bag.level) == ("recorder: bag", DiagnosticStatus.ERROR)
+    assert bag.message == recording.status.message
     assert recording.process.running
     assert recording.process.stop() == 0
     assert "[ERROR]" in recording.process.stderr

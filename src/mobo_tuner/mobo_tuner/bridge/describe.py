@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -59,8 +59,17 @@ def mapping_file(value: str, command_line: Sequence[str]) -> Path:
     """
     if any(":=" in word and word.split(":=")[0].endswith("mapping") for word in command_line):
         return Path(value)
-    files = [file for word, file in pairwise(command_line) if word == "--params-file"]
-    return Path(files[-1]).resolve().parent / value if files else Path(value)
+    files = [Path(file) for word, file in pairwise(command_line) if word == "--params-file"]
+    # What ros2 launch adds to a file of the user is in a file of its own, in another folder.
+    naming = [file for file in files if _names_mapping(file, value)] or files
+    return naming[-1].resolve().parent / value if naming else Path(value)
+
+
+def _names_mapping(file: Path, value: str) -> bool:
+    """Return whether a parameter file gives this value to the parameter ``mapping``."""
+    sections = load_yaml(file).values()
+    parameters = [s.get("ros__parameters") for s in sections if isinstance(s, Mapping)]
+    return any(isinstance(p, Mapping) and p.get("mapping") == value for p in parameters)
 
 
 def _typical_duration(mapping: MachineMapping) -> float:
