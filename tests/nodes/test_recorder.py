@@ -212,7 +212,7 @@ def test_the_bag_tells_types_hashes_and_offered_qos(
     (best_effort,) = offered["/sensor"]
     assert best_effort.reliability == QosReliability.BEST_EFFORT
     assert connections["/sensor"].msgcount == 1
-    assert "# as in the problem" in definitions["/evaluation"]  # units and meanings travel along
+    assert "[s]" in definitions["/evaluation"]  # units and meanings travel along
     publisher_hash = str(node.get_publishers_info_by_topic("/problem")[0].topic_type_hash)
     assert connections["/problem"].digest == publisher_hash
 

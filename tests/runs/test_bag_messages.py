@@ -265,6 +265,7 @@ def test_without_run_records_the_problem_is_that_of_its_message(
     assert "settings of the tuner are unknown" in capsys.readouterr().out
     assert report([str(folder)]) == 0
     assert "settings of the tuner are unknown" in capsys.readouterr().out
+    assert "unknown: the run was rebuilt" in (folder / "report.html").read_text()
     for path in (folder, bag):
         assert replay([str(path)]) == 1
         [line] = capsys.readouterr().err.splitlines()
