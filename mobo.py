@@ -1,23 +1,23 @@
 #!/usr/bin/env python3
 """Multi-objective tuning of a running machine, from one command.
 
-    python3 mobo.py run          set up, start the nodes, tune, record, report, stop everything
+    python3 mobo.py run          set up, start the nodes, tune, record, report, stop the nodes
     python3 mobo.py test         set up and run the tests
-    python3 mobo.py check FILE   say what a parameter file means, without starting anything
-    python3 mobo.py list         the runs there are
-    python3 mobo.py show RUN     what came out of a run
-    python3 mobo.py resume RUN   continue a run that was cut short, or with more evaluations
-    python3 mobo.py report RUN   make its report again
+    python3 mobo.py check FILE   print what a parameter file means, without starting anything
+    python3 mobo.py list         list the runs
+    python3 mobo.py show RUN     print the result of a run
+    python3 mobo.py resume RUN   continue an interrupted run, or one with a larger budget
+    python3 mobo.py report RUN   create the report of a run again
     python3 mobo.py compare RUN RUN ...   compare runs in one page
-    python3 mobo.py export RUN   write its evaluations as a table
-    python3 mobo.py rebuild BAG  rebuild a run from its bag alone
-    python3 mobo.py replay RUN   ask for every suggestion again, and compare
+    python3 mobo.py export RUN   write the evaluations of a run as a table
+    python3 mobo.py rebuild BAG  rebuild a run from its bag
+    python3 mobo.py replay RUN   compute every suggestion again, and compare
 
-While a run is going on, or a tuner's nodes are: status, watch, pause, continue, step, skip, stop,
-cancel, queue NAME=NUMBER ..., set NAME=VALUE ..., points, go INDEX.
+With an active run, or with a tuner that is running permanently: status, watch, pause, continue, step,
+skip, stop, cancel, queue NAME=NUMBER ..., set NAME=VALUE ..., points, go INDEX.
 
-It needs nothing but Python 3.11, 3.12 or 3.13 on Linux and a C and C++ compiler; the rest goes to
-`.venv` beside this file.
+It only needs Python 3.11, 3.12 or 3.13 on Linux and a C and C++ compiler; everything else is installed
+into `.venv` beside this file.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ VERBS = {
 
 
 def main(arguments: list[str]) -> int:
-    """Do what the command line says; return the exit status."""
+    """Carry out the command line; return the exit status."""
     try:
         if arguments[:1] == ["test"]:
             return verbs.test(ROOT, arguments[1:])
@@ -65,7 +65,7 @@ def main(arguments: list[str]) -> int:
         options.act(options)
     except (LauncherError, Interrupted) as error:
         return complain(error, error.exit_status)
-    except BrokenPipeError:  # who read the output has seen enough
+    except BrokenPipeError:  # the reader of the output has closed it
         return 1
     except OSError as error:
         return complain(error, 1)
@@ -75,7 +75,7 @@ def main(arguments: list[str]) -> int:
 
 
 def complain(what: object, exit_status: int = 1) -> int:
-    """Say what went wrong; return the exit status."""
+    """Print an error; return the exit status."""
     with contextlib.suppress(OSError):  # the terminal may be gone
         print(f"mobo.py: {what}", file=sys.stderr, flush=True)
     return exit_status
@@ -85,7 +85,7 @@ if __name__ == "__main__":
     status = main(sys.argv[1:])
     try:
         sys.stdout.flush()
-    except OSError:  # whoever read it is gone; say so by the status alone
+    except OSError:  # the reader of the output is gone; only the status can tell
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = status or 1
     sys.exit(status)

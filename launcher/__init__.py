@@ -1,1 +1,1 @@
-"""What mobo.py is made of; standard library only."""
+"""The parts of mobo.py; they only need the standard library."""

@@ -1,4 +1,4 @@
-"""The command line of `mobo.py`: its verbs, their options, and what is allowed."""
+"""The command line of `mobo.py`: its verbs, their options and allowed values."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ MAX_SEED = 2**31 - 1
 MIN_SPEED, MAX_SPEED = 1e-3, 1e6
 RUN_HELP = "run id, or path of a run folder"
 STEERING = {
-    "status": "say what the tuner is doing",
-    "watch": "show a run that is going on",
+    "status": "print the state of the tuner",
+    "watch": "show the active run",
     "pause": "pause the run before its next evaluation",
-    "continue": "let a paused run continue",
-    "step": "make one more evaluation, then pause",
-    "skip": "end the evaluation in flight, which counts as failed",
-    "stop": "end the run after the evaluation in flight",
-    "cancel": "cancel the run or the move that is going on",
-    "queue": "have a set-point evaluated next",
+    "continue": "continue a paused run",
+    "step": "do one more evaluation, then pause",
+    "skip": "end the current evaluation, which counts as failed",
+    "stop": "end the run after the current evaluation",
+    "cancel": "cancel the active run or move",
+    "queue": "evaluate a set-point of your own next",
     "set": "change bounds, limits, goals, costs or the budget",
     "points": "list the Pareto front of a run",
     "go": "go to a point of a Pareto front",
 }
-"""Verbs that concern a running tuner, whose arguments go to a program of their own."""
+"""Verbs that concern a running tuner; a program of their own parses their arguments."""
 
 Act = Callable[[argparse.Namespace], None]
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose complaints are one sentence."""
+    """A parser whose errors are one sentence."""
 
     def error(self, message: str) -> NoReturn:
         """Raise UsageError instead of printing the usage."""
@@ -68,7 +68,7 @@ def _speed(text: str) -> float:
 
 def _run_id(text: str) -> str:
     if not RUN_ID.fullmatch(text):
-        raise argparse.ArgumentTypeError(f"'{text}' is no run id; allowed are {RUN_ID_RULE}")
+        raise argparse.ArgumentTypeError(f"'{text}' is not a run id; allowed are {RUN_ID_RULE}")
     return text
 
 
@@ -82,7 +82,7 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
 
     Args:
         description: Text of `--help`.
-        root: Folder of the project; verbs find it as the option `root`.
+        root: Folder of the project; verbs receive it as the option `root`.
         verbs: Function of each verb.
     """
     parser = Parser(
@@ -99,7 +99,7 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
         verb.set_defaults(act=verbs[name], root=root)
         return verb
 
-    run = add("run", "tune the machine of a configuration, once")
+    run = add("run", "tune the machine of a parameter file in one run")
     run.add_argument(
         "--config",
         metavar="FILE",
@@ -111,21 +111,21 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
         "--evaluations",
         metavar="N",
         type=_whole(1, MAX_EVALUATIONS),
-        help="budget of the run (default: as configured, 60 for the shipped awa.yaml)",
+        help="budget of the run (default: that of the file, 60 in config/awa.yaml)",
     )
     run.add_argument(
         "--seed",
         metavar="S",
         type=_whole(0, MAX_SEED),
-        help="of every random choice, the simulated noise included (default: as configured)",
+        help="seed of all random numbers, including the simulated noise (default: that of the file)",
     )
     run.add_argument(
         "--run-id", metavar="ID", type=_run_id, help="name of the run (default: the time)"
     )
-    _add_machine(run, "as the sections of the configuration say")
-    _add_surroundings(run, "as configured")
+    _add_machine(run, "the choice of the parameter file")
+    _add_surroundings(run, "that of the file")
 
-    check = add("check", "say what a configuration means, without starting anything")
+    check = add("check", "print what a parameter file means, without starting anything")
     check.add_argument("config", metavar="FILE", type=Path, help="ROS parameter file")
     _add_machine(check, "none")
 
@@ -133,27 +133,27 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
         subparsers.add_parser(name, help=what)
     subparsers.add_parser("test", help="set up and run the tests; arguments go to pytest")
     add("list", "list the runs")
-    add("show", "show what came out of a run").add_argument("run", metavar="RUN", help=RUN_HELP)
+    add("show", "print the result of a run").add_argument("run", metavar="RUN", help=RUN_HELP)
 
-    resume = add("resume", "go on with a run in a new one that begins with its evaluations")
+    resume = add("resume", "continue a run in a new one that starts with its evaluations")
     resume.add_argument("run", metavar="RUN", help=RUN_HELP)
     resume.add_argument(
         "--config",
         metavar="FILE",
         type=Path,
-        help="with other bounds, objectives or constraints (default: as the run was in the end)",
+        help="file with other bounds, objectives or constraints (default: those of the run's end)",
     )
     resume.add_argument(
         "--evaluations",
         metavar="N",
         type=_whole(1, MAX_EVALUATIONS),
-        help="budget, the evaluations there are included (default: that of the run)",
+        help="budget, including the earlier evaluations (default: that of the run)",
     )
     resume.add_argument(
         "--run-id", metavar="ID", type=_run_id, help="name of the new run (default: RUN-2, ...)"
     )
     _add_machine(resume, "that of the run")
-    _add_surroundings(resume, "as that of the run")
+    _add_surroundings(resume, "that of the run")
 
     report = add("report", "create the report of a run again, or that of a bag")
     report.add_argument("run", metavar="RUN", help=RUN_HELP + " or of a bag")
@@ -163,7 +163,7 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
         "--output",
         metavar="FILE",
         type=Path,
-        help="where it is written (default: compare.html, in the folder of the runs)",
+        help="file to write (default: compare.html, in the folder of the runs)",
     )
     export = add("export", "write the evaluations of a run as a table into its folder")
     export.add_argument("run", metavar="RUN", help=RUN_HELP)
@@ -183,18 +183,18 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
 
 
 def add_runs_dir(verb: argparse.ArgumentParser, root: Path) -> None:
-    """Add the option that says where runs are kept."""
+    """Add the option for the folder of the runs."""
     verb.add_argument(
         "--runs-dir",
         metavar="DIR",
         type=Path,
         default=root / "runs",
-        help="where runs are kept (default: runs, beside mobo.py)",
+        help="folder of the runs (default: runs, beside mobo.py)",
     )
 
 
 def add_domain_id(verb: argparse.ArgumentParser, default: str) -> None:
-    """Add the option that names a ROS domain."""
+    """Add the option for the ROS domain."""
     verb.add_argument(
         "--domain-id",
         metavar="N",
@@ -208,12 +208,12 @@ def _add_machine(verb: argparse.ArgumentParser, default: str) -> None:
         "--machine",
         metavar="COMMAND",
         type=_command,
-        help=f"program that is started as the machine's node (default: {default})",
+        help=f"program to start as the machine's node (default: {default})",
     )
 
 
 def _add_surroundings(verb: argparse.ArgumentParser, speed: str) -> None:
-    """Options of what the nodes of a run live in."""
+    """Add the options for the environment of a run's nodes."""
     verb.add_argument("--no-dashboard", action="store_true", help="accepted; there is no page yet")
     verb.add_argument(
         "--speed",
@@ -221,7 +221,7 @@ def _add_surroundings(verb: argparse.ArgumentParser, speed: str) -> None:
         type=_speed,
         help=f"simulated seconds per second of the simulated machine (default: {speed})",
     )
-    add_domain_id(verb, "one that is free; where the machine is there already, ROS_DOMAIN_ID, or 0")
+    add_domain_id(verb, "a free one; if the machine's node is already running, ROS_DOMAIN_ID or 0")
     verb.add_argument(
         "--network",
         action="store_true",

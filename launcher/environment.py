@@ -1,8 +1,8 @@
-"""The virtual environment beside `mobo.py`: made when missing, mended when stale, else left alone.
+"""The virtual environment beside `mobo.py`: created if missing, updated if stale.
 
-Setting up goes in stages. A stage that is complete leaves a stamp in `.venv/.stamps`: a hash of
-its sources, its command and the stamp of the stage it builds on. It is written last and at once, so
-that whatever interrupts a stage, the next call does it again.
+The set-up has stages. A complete stage leaves a stamp in `.venv/.stamps`: a hash of its sources, its
+command and the stamp of the stage before. The stamp is written last and atomically, so that the next
+call repeats an interrupted stage.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _STAGE_TIMEOUT = 3600.0  # [s]
 _LOCK_TIMEOUT = 3600.0  # [s] for another set-up of the same folder to finish
 _LOG_TAIL = 20  # lines shown of the log of a stage that failed
 _IGNORED = {"__pycache__", "build", ".pytest_cache", ".mypy_cache", ".ruff_cache"}
-# Variables that would make one Python find what belongs to another, or ROS nodes meet strangers.
+# Variables by which Python would find packages of other installations, or ROS nodes foreign nodes.
 _SCRUBBED = {"VIRTUAL_ENV", "LD_LIBRARY_PATH", "LD_PRELOAD", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"}
 _SCRUBBED_PREFIXES = (
     "AMENT_",
@@ -48,13 +48,13 @@ class Stage:
     """One step of the set-up.
 
     Attributes:
-        name: of its stamp.
-        label: what the user reads while it goes on.
-        after: name of the stage it builds on.
-        command: run in a copy of the sources; `{venv}` stands for the environment's folder.
-        sources: files and folders, relative to the project's root, whose change makes it stale.
-        companions: files and folders copied beside the sources whose change does not.
-        compiles: whether it needs a compiler and Python's headers.
+        name: Name of its stamp.
+        label: Text for the user while it runs.
+        after: Name of the stage before.
+        command: Command, run in a copy of the sources; `{venv}` is replaced by the environment's folder.
+        sources: Files and folders, relative to the project's root, whose change makes the stage stale.
+        companions: Files and folders that are also copied, but whose change does not make it stale.
+        compiles: Whether it needs a compiler and Python's headers.
     """
 
     name: str
@@ -133,7 +133,7 @@ DEVELOPMENT_STAGES = (
 
 
 def clean_environment(**extra: str) -> dict[str, str]:
-    """This process's environment variables less those that would mislead another Python or ROS."""
+    """Return this process's environment variables without those that mislead Python or ROS."""
     kept = {
         name: value
         for name, value in os.environ.items()
@@ -153,7 +153,7 @@ class Environment:
         self._log = root / ".venv-setup.log"
 
     def stale_stages(self) -> list[Stage]:
-        """The stages that have to be done, in order; empty when the environment is ready."""
+        """Return the stale stages in order; none if the environment is ready."""
         stale: list[Stage] = []
         for stage in self._stages.values():
             follows_stale = any(stage.after == earlier.name for earlier in stale)
@@ -162,11 +162,11 @@ class Environment:
         return stale
 
     def set_up(self, processes: Processes) -> None:
-        """Do the stages that are stale; quick when none is.
+        """Do the stale stages; fast if there are none.
 
         Raises:
-            SetupError: a stage failed.
-            Interrupted: a signal came.
+            SetupError: If a stage failed.
+            Interrupted: If a signal arrived.
         """
         if not self.stale_stages():
             return
@@ -176,7 +176,7 @@ class Environment:
                 self._do(stage, f"[{number}/{len(stale)}] {stage.label}", processes)
 
     def fingerprint(self, stage: Stage) -> str:
-        """What the stage's stamp says when the stage is complete and current."""
+        """Return the content of the stage's stamp if it is complete and current."""
         digest = hashlib.sha256()
         if stage.after is None:
             # A moved folder and an exchanged interpreter each make an environment useless.
@@ -191,7 +191,7 @@ class Environment:
         return digest.hexdigest()
 
     def mark_done(self, stage: Stage, fingerprint: str) -> None:
-        """Leave a stage's stamp, whole or not at all."""
+        """Write a stage's stamp atomically."""
         stamp = self._stamp(stage)
         stamp.parent.mkdir(exist_ok=True)
         draft = stamp.with_suffix(".draft")
@@ -249,7 +249,7 @@ class Environment:
 
     @contextmanager
     def _lock(self, processes: Processes) -> Iterator[None]:
-        """Keep other set-ups of this folder out; the lock dies with the process that holds it."""
+        """Prevent other set-ups of this folder; the lock ends with the process that holds it."""
         with self._lock_file().open("w") as file:
             if not _try_lock(file.fileno()):
                 print("waiting for another mobo.py that is setting up .venv", flush=True)
@@ -258,10 +258,10 @@ class Environment:
             yield
 
     def _lock_file(self) -> Path:
-        """Return the file that is locked, which can be written.
+        """Return the lock file, which is writable.
 
         Raises:
-            SetupError: If it cannot, since the folder is somebody else's, for example.
+            SetupError: If it is not, for example because the folder belongs to another user.
         """
         path = self._root / ".venv-setup.lock"
         try:
@@ -277,7 +277,7 @@ class Environment:
 
 
 class _Progress:
-    """Shows a stage and its seconds: in place on a terminal, as two lines elsewhere."""
+    """Display of a stage and its seconds: in place on a terminal, otherwise as two lines."""
 
     def __init__(self, label: str) -> None:
         self._label = label
@@ -295,7 +295,7 @@ class _Progress:
             print(flush=True)
 
     def show(self, end: str = "") -> None:
-        """Bring the seconds up to date."""
+        """Update the seconds."""
         if self._live or end:
             start = "\r" if self._live else ""
             seconds = time.monotonic() - self._started
@@ -303,10 +303,10 @@ class _Progress:
 
 
 def _files(path: Path) -> list[Path]:
-    """The source files in a folder, sorted, or the file itself; what builds leave is left out.
+    """Return the source files in a folder, sorted and without build results, or the file itself.
 
     Raises:
-        SetupError: there is no such file or folder.
+        SetupError: If there is no such file or folder.
     """
     if path.is_file():
         return [path]
@@ -320,10 +320,10 @@ def _files(path: Path) -> list[Path]:
 
 
 def _check_compilers() -> None:
-    """Check what the interface package needs beside Python.
+    """Check the compilers and headers that the interface package needs.
 
     Raises:
-        SetupError: it is missing.
+        SetupError: If one is missing.
     """
     compilers: Mapping[str, Sequence[str]] = {
         "a C compiler": ("cc", "gcc", "clang"),

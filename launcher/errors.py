@@ -1,10 +1,10 @@
-"""Errors for the user of the entry script; the message of each is one sentence."""
+"""Errors for the user of the entry script; each message is one sentence."""
 
 from __future__ import annotations
 
 
 class LauncherError(Exception):
-    """What a verb was asked for cannot be done, or was not.
+    """A verb cannot do what was requested.
 
     Attributes:
         exit_status: Exit status of the entry script.
@@ -24,8 +24,8 @@ class SetupError(LauncherError):
 
 
 class DomainError(LauncherError):
-    """No ROS domain can be had."""
+    """No ROS domain is available."""
 
 
 class RunFolderError(LauncherError):
-    """The folder of a run cannot be made or read."""
+    """The folder of a run cannot be created or read."""

@@ -1,4 +1,4 @@
-"""Which machine a run has: one whose node the run starts, or one that is there already."""
+"""The machine of a run: one whose node the run starts, or one that is already running."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class MachineNode:
     Attributes:
         program: The node's program; its `node` is the name of the section.
         description: Module that describes the machine of a file.
-        is_simulated: Whether the machine is inside the node; else it is in the lab's ROS domain.
+        is_simulated: Whether the node simulates the machine; otherwise the machine has a ROS domain.
     """
 
     program: NodeProgram
@@ -48,11 +48,11 @@ MACHINE_NODES = {
 
 @dataclass(frozen=True)
 class Machine:
-    """The machine of a run; with neither a section nor a command it is there already.
+    """The machine of a run; without a section and a command, its node is already running.
 
     Attributes:
         section: Section of the parameter file that chooses it.
-        files: Names of the files beside the parameter file that its node reads.
+        files: Names of further files that its node reads, in the folder of the parameter file.
         command: Command of `--machine` that starts its node.
         folder: Working folder of the command.
     """
@@ -77,7 +77,7 @@ class Machine:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What `run.json` says of the machine."""
+        """Description of the machine in `run.json`."""
         if self.section:
             return {"section": self.section, "files": list(self.files)}
         if self.command:
@@ -92,7 +92,7 @@ class Machine:
 
     @property
     def needs_private_domain(self) -> bool:
-        """Whether nothing that is there already belongs to the machine."""
+        """Whether no part of the machine is already running in a ROS domain."""
         return bool(self.command) or (
             self.section in MACHINE_NODES and MACHINE_NODES[self.section].is_simulated
         )
@@ -100,7 +100,7 @@ class Machine:
     def start_command(
         self, python: Path, config: Path, values: Mapping[str, object]
     ) -> list[str] | None:
-        """Return the command that starts the machine's node; None if it is there already."""
+        """Return the command that starts the machine's node; None if it is already running."""
         if self.section:
             return MACHINE_NODES[self.section].program.command(python, config, values)
         if self.command:
@@ -108,13 +108,13 @@ class Machine:
         return None
 
     def check_program(self, path: str) -> None:
-        """Check that the program of the command is there.
+        """Check that the program of the command exists.
 
         Args:
-            path: Folders where programs are looked for.
+            path: Folders of programs, as in `PATH`.
 
         Raises:
-            UsageError: If it is not.
+            UsageError: If it does not.
         """
         if not self.command:
             return
@@ -143,7 +143,7 @@ def split_command(command: str) -> list[str]:
 
 
 def shared_domain(asked: int | None, earlier: int | None) -> tuple[int, str]:
-    """Return the ROS domain in which a machine is expected, and who says so.
+    """Return the ROS domain in which a machine is expected, and where it is defined.
 
     Args:
         asked: Domain of `--domain-id`.

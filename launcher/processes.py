@@ -1,8 +1,8 @@
-"""The processes that the entry script starts, and how all of them end.
+"""The processes that the entry script starts, and their end.
 
-Each runs in a session of its own, so that a Ctrl-C at the terminal reaches `mobo.py` alone and the
-order in which things stop is decided here. None is left behind: not after an error, not after a
-signal, and, by the watchdog, not after a `kill -9` of `mobo.py`.
+Each runs in a session of its own, so that a Ctrl-C at the terminal only reaches `mobo.py`, which stops
+the processes in order. None remains after an error, after a signal or, by the watchdog, after a
+`kill -9` of `mobo.py`.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from launcher import watchdog
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _POLL_PERIOD = 0.03  # [s]
-_SWEEP_PATIENCE = 1.0  # [s] for what is left at the end to react to SIGTERM
+_SWEEP_PATIENCE = 1.0  # [s] for remaining processes to react to SIGTERM
 
 
-class Interrupted(Exception):  # noqa: N818 - not an error: somebody asked for it
-    """A signal asked this script to stop; `number` is the signal's."""
+class Interrupted(Exception):  # noqa: N818 - not an error, but a request
+    """A signal requested a stop; `number` is the signal's number."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -37,11 +37,11 @@ class Interrupted(Exception):  # noqa: N818 - not an error: somebody asked for i
 
 
 class Processes:
-    """Starts, watches and ends processes; leaving the `with` block ends all that are left.
+    """Starts, watches and ends processes; the end of the `with` block ends all that remain.
 
-    Within the block the first SIGINT, SIGTERM or SIGHUP raises :class:`Interrupted`, in the waiting
-    functions of this class and nowhere else. Further ones change nothing, unless they are heeded by
-    :meth:`heed_next_signal`: from the first on, the end is near anyway.
+    Within the block the first SIGINT, SIGTERM or SIGHUP raises `Interrupted`, only in the waiting
+    functions of this class. Later signals are ignored, because the processes are already being stopped,
+    unless `heed_next_signal` was called.
     """
 
     def __init__(self) -> None:
@@ -93,10 +93,10 @@ class Processes:
         stdout: int | IO[bytes] | None = None,
         stderr: int | IO[bytes] | None = None,
     ) -> subprocess.Popen[bytes]:
-        """Start a process in a session of its own; None as a stream is this script's own.
+        """Start a process in a session of its own; a stream that is None is inherited.
 
         Raises:
-            OSError: it cannot be started.
+            OSError: If it cannot be started.
         """
         process = subprocess.Popen(
             command,
@@ -111,10 +111,10 @@ class Processes:
         return process
 
     def wait_until(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Wait until the condition holds, `timeout` seconds at most; return whether it does.
+        """Wait until the condition holds, at most `timeout` seconds; return whether it does.
 
         Raises:
-            Interrupted: a signal came.
+            Interrupted: If a signal arrived.
         """
         deadline = time.monotonic() + timeout
         while not condition():
@@ -125,35 +125,35 @@ class Processes:
         return True
 
     def check_signal(self) -> None:
-        """Raise Interrupted if a signal came, once."""
+        """Raise Interrupted once if a signal arrived."""
         if self._signal is not None and not self._interrupted:
             self._interrupted = True
             raise Interrupted(self._signal)
 
     def heed_next_signal(self) -> None:
-        """Let the next signal raise Interrupted once more."""
+        """Let the next signal raise Interrupted again."""
         self._signal = None
         self._interrupted = False
 
     def wait(self, process: subprocess.Popen[bytes], timeout: float) -> int | None:
-        """Wait for a process's end, for `timeout` seconds; return its status, None if it runs on.
+        """Wait for the end of a process for `timeout` seconds; return its status, None if it runs.
 
         Raises:
-            Interrupted: a signal came.
+            Interrupted: If a signal arrived.
         """
         self.wait_until(lambda: process.poll() is not None, timeout)
         return process.returncode
 
     def stop(self, processes: Iterable[subprocess.Popen[bytes]], patience: float) -> bool:
-        """Interrupt processes (SIGINT), all at once, and kill those that run on after `patience`.
+        """Interrupt processes (SIGINT) together, and kill those that still run after `patience`.
 
-        A process is interrupted once only, since many take the second time for impatience.
+        A process is interrupted only once, because many react to a second time by an immediate exit.
 
         Returns:
-            Whether all of them ended of themselves.
+            Whether all of them ended without being killed.
 
         Raises:
-            Interrupted: a signal came while waiting.
+            Interrupted: If a signal arrived.
         """
         running = [process for process in processes if process.poll() is None]
         for process in running:
@@ -167,7 +167,7 @@ class Processes:
         return False
 
     def interrupt(self, process: subprocess.Popen[bytes], again: bool = False) -> None:
-        """Send SIGINT to a running process that did not get it yet, or did but shall `again`."""
+        """Send SIGINT to a running process, unless it was sent before and `again` is false."""
         if process.poll() is None and (again or process.pid not in self._asked):
             self._asked.add(process.pid)
             _signal_group(process, signal.SIGINT)
@@ -177,13 +177,13 @@ class Processes:
 
 
 def _signal_group(process: subprocess.Popen[bytes], number: signal.Signals) -> None:
-    """Send a signal to a process and those of its children that stayed in its session's group."""
+    """Send a signal to a process and the children in its process group."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, number)
 
 
 def describe_status(status: int) -> str:
-    """How a process ended, in words: 'was killed by SIGKILL' or 'ended with status 3'."""
+    """Return how a process ended, e.g. 'was killed by SIGKILL' or 'ended with status 3'."""
     if status >= 0:
         return f"ended with status {status}"
     try:

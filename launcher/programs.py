@@ -1,4 +1,4 @@
-"""The project's own programs: the nodes of a run, and those that answer one question."""
+"""The project's programs: the nodes of a run, and tools that print an answer."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from launcher.processes import Processes
 # One thread each: the processes of a run share the cores.
 THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 ANSWER_TIMEOUT = 60.0  # [s] for a check of a file, or a report
-LONG = 3600.0  # [s] for what takes as long as the suggestions of a run
+LONG = 3600.0  # [s] for programs that compute all suggestions of a run
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class NodeProgram:
         name: Name of the program and of its log file.
         module: Python module that is run.
         node: Name of its ROS node.
-        parameters: ROS parameters that it is given over those of the parameter file.
+        parameters: ROS parameters that override those of the parameter file.
     """
 
     name: str
@@ -36,10 +36,10 @@ class NodeProgram:
     parameters: tuple[str, ...] = ()
 
     def command(self, python: Path, config: Path, values: Mapping[str, object]) -> list[str]:
-        """Return the command line; parameters without a value are left to the parameter file.
+        """Return the command line; the parameter file defines parameters without a value.
 
-        They are given to the node by name: without it, they would yield to the file's section of
-        that name.
+        They are qualified by the name of the node; otherwise the file's section of that name would
+        override them.
         """
         given = [
             argument
@@ -64,7 +64,7 @@ class Project:
 
     Attributes:
         environment: Virtual environment of its programs.
-        processes: Starts and ends them.
+        processes: Processes that it starts.
     """
 
     environment: Environment
@@ -81,12 +81,12 @@ class Project:
     ) -> str:
         """Run one of the programs and return what it prints.
 
-        Its last line on standard error says what is wrong.
+        Its last line on standard error describes an error.
 
         Args:
             module: Module of the program.
             arguments: Arguments of the program.
-            show: Whether it prints to this script's output instead.
+            show: Whether it prints to this script's output, so that nothing is returned.
             timeout: Longest time that it may take [s].
 
         Raises:
@@ -115,7 +115,7 @@ class Project:
 
 @contextmanager
 def open_project(root: Path, stages: Sequence[Stage] = STAGES) -> Iterator[Project]:
-    """Set the project up; at the end of the block no process is left.
+    """Set up the project; at the end of the block all processes have ended.
 
     Raises:
         SetupError: If it cannot be set up.
@@ -128,7 +128,7 @@ def open_project(root: Path, stages: Sequence[Stage] = STAGES) -> Iterator[Proje
 
 
 def _as_yaml(value: object) -> str:
-    """Return a parameter's value as `-p name:=` takes it; text is quoted, or might be a number."""
+    """Return a parameter's value for `-p name:=`; strings are quoted, so that they stay strings."""
     if isinstance(value, str | Path):
         return "'" + str(value).replace("'", "''") + "'"
     return repr(value)

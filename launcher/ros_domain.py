@@ -1,9 +1,9 @@
-"""A ROS domain of one's own, so that runs side by side do not hear each other.
+"""A separate ROS domain, so that concurrent runs do not receive each other's messages.
 
-Domains 1 to 101 are used: DDS derives its UDP ports from the domain, and those of higher domains
-reach into the range that the kernel hands out. A domain is taken by a lock on a file in the
-temporary folder, which the kernel releases when its holder ends, however it ends. Nodes that were
-started by other means hold no lock, but their ports, which are looked at too.
+Domains 1 to 101 are used: DDS derives its UDP ports from the domain, and those of higher domains are in
+the range of ephemeral ports. A domain is reserved by a lock on a file in the temporary folder, which
+the kernel releases when its holder ends. Nodes that were started in other ways have no lock, so their
+ports are checked too.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from launcher.errors import DomainError
 
 PROFILE = Path(__file__).parent / "discovery.xml"
 FIRST, LAST = 1, 101
-_PARTICIPANTS = 10  # of other programs that are looked for in a domain
+_PARTICIPANTS = 10  # number of other programs whose ports are checked in a domain
 
 
 class RosDomain:
-    """A domain that is this process's own until it is closed.
+    """A domain that is reserved for this process until it is closed.
 
     Attributes:
-        id: of the domain.
+        id: Id of the domain.
     """
 
     def __init__(self, domain_id: int | None = None, *, network: bool = False) -> None:
-        """Take the domain asked for, or any that is free.
+        """Reserve the given domain, or any free one.
 
-        A domain that was asked for may hold nodes of other programs: to meet them can be the reason
-        to ask for it.
+        A given domain may contain nodes of other programs: the user may want to communicate with
+        them.
 
         Args:
-            domain_id: which; None for any.
-            network: whether programs on other hosts may take part.
+            domain_id: Id of the domain; None for any.
+            network: Whether programs on other hosts may take part.
 
         Raises:
-            DomainError: it is taken by another run, or all are.
+            DomainError: If it is reserved by another run, or all are.
         """
         self._range = "SUBNET" if network else "LOCALHOST"
         if domain_id is not None:
@@ -72,17 +72,17 @@ class RosDomain:
         self.close()
 
     def close(self) -> None:
-        """Let others have the domain."""
+        """Release the domain."""
         os.close(self._descriptor)
 
     @property
     def environment(self) -> dict[str, str]:
-        """The environment variables of everything that shall live in this domain."""
+        """Environment variables of all programs in this domain."""
         return surroundings(self.id, self._range)
 
 
 def surroundings(domain_id: int, reach: str = "LOCALHOST") -> dict[str, str]:
-    """Return the environment variables of programs that meet in a domain.
+    """Return the environment variables of the programs in a domain.
 
     Args:
         domain_id: Id of the domain.
@@ -91,14 +91,14 @@ def surroundings(domain_id: int, reach: str = "LOCALHOST") -> dict[str, str]:
     return {
         "ROS_DOMAIN_ID": str(domain_id),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": reach,
-        # Shared memory of a killed process stays behind and can stall those that come after.
+        # Shared memory of a killed process remains and can block later processes.
         "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
         "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE),
     }
 
 
 def _lock(domain_id: int) -> int | None:
-    """A descriptor that holds the domain's lock; None if someone else does."""
+    """Return a descriptor that holds the domain's lock; None if another process has it."""
     path = os.path.join(tempfile.gettempdir(), f"mobo-ros-domain-{domain_id}.lock")
     try:
         # Another user's file can be locked, but not opened for writing.
@@ -119,7 +119,7 @@ def _lock(domain_id: int) -> int | None:
 
 
 def _is_silent(domain_id: int) -> bool:
-    """Whether the ports at which a domain's first participants listen are all free."""
+    """Return whether the ports of a domain's first participants are all free."""
     for participant in range(_PARTICIPANTS):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:

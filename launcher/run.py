@@ -1,4 +1,4 @@
-"""The verbs `run` and `resume`: check, start the nodes, tune, record, report, stop everything."""
+"""The verbs `run` and `resume`: check, start the nodes, tune, record, report, stop the nodes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _RECORDED_VERSIONS = (
 
 
 class UnsuccessfulRunError(LauncherError):
-    """A run did not end well; the message is for the user."""
+    """A run failed; the message is for the user."""
 
     def __init__(self, conclusion: Conclusion) -> None:
         super().__init__("\n".join((conclusion.reason, *conclusion.details)))
@@ -48,12 +48,12 @@ class UnsuccessfulRunError(LauncherError):
 
 @dataclass(frozen=True)
 class CheckedConfig:
-    """A parameter file that was checked, and copied with all its nodes need beside it.
+    """A parameter file that was checked and copied with the files that its nodes need.
 
     Attributes:
         source: Path of the file that the user gave.
         copies: Folder of the copies.
-        machine: Machine that it chooses.
+        machine: Machine of the run.
         goes_back: Whether the machine is moved after a cancel.
     """
 
@@ -64,7 +64,7 @@ class CheckedConfig:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Tune the machine of a parameter file, once.
+    """Tune the machine of a parameter file in one run.
 
     Raises:
         UsageError, SetupError, DomainError, RunFolderError, UnsuccessfulRunError, Interrupted,
@@ -92,7 +92,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def resume(options: argparse.Namespace) -> None:
-    """Continue a run in a new one beside it, which begins with its evaluations.
+    """Continue a run in a new one, which starts with its evaluations.
 
     Raises:
         UsageError, SetupError, DomainError, RunFolderError, UnsuccessfulRunError, Interrupted,
@@ -101,7 +101,7 @@ def resume(options: argparse.Namespace) -> None:
     earlier = RunFolder.find(options.run, options.runs_dir)
     facts = earlier.facts()
     if facts.get("state") == "running":
-        raise UsageError(f"the run '{earlier.run_id}' is going on; stop it first")
+        raise UsageError(f"the run '{earlier.run_id}' is active; stop it first")
     if options.config is not None and not options.config.is_file():
         raise UsageError(f"the configuration '{options.config}' is not a file")
     with open_project(options.root) as project:
@@ -126,7 +126,7 @@ def resume(options: argparse.Namespace) -> None:
 
 
 def check_arguments(command: str) -> list[str]:
-    """Return the options of the check of a parameter file: which machines there are.
+    """Return the options of the check of a parameter file: the known machines.
 
     Args:
         command: Command of `--machine`; empty if there is none.
@@ -144,7 +144,7 @@ def _check(
         project: Project whose program checks it.
         config: Path of the file.
         scratch: Folder in which the copies are made.
-        machine: Machine of the command line; the file may choose another.
+        machine: Machine of the command line, or of the run that is resumed.
         further: Further options of the check.
 
     Raises:
@@ -188,7 +188,7 @@ def _config_to_resume(
     if options.config is not None:
         return Path(options.config.resolve())
     for name in Machine.from_facts(earlier.facts()).files:
-        with contextlib.suppress(FileNotFoundError):  # the check of the file will say so
+        with contextlib.suppress(FileNotFoundError):  # the check of the file reports it
             shutil.copyfile(earlier.path / name, folder / name)
     return config
 
@@ -202,7 +202,7 @@ def _check_again(
 ) -> CheckedConfig:
     """Check the parameter file of a run that is resumed, with the machine that the run had.
 
-    Another machine is taken where the command line or the file names one.
+    The command line or the file may choose another machine.
 
     Raises:
         UsageError: If something is wrong.
@@ -221,7 +221,7 @@ def _check_again(
 
 
 def _check_speed(options: argparse.Namespace, machine: Machine) -> None:
-    """Refuse an option that the machine's node would not hear of.
+    """Reject `--speed` for a machine that is not simulated.
 
     Raises:
         UsageError: If it is given.
@@ -233,11 +233,11 @@ def _check_speed(options: argparse.Namespace, machine: Machine) -> None:
 def _open_domain(
     options: argparse.Namespace, machine: Machine, earlier: int | None = None
 ) -> RosDomain:
-    """Take the ROS domain of a run: one of its own, or that in which its machine is.
+    """Reserve the ROS domain of a run: a separate one, or that of its machine.
 
     Raises:
-        DomainError: If it is taken.
-        UsageError: If the environment names one that is not allowed.
+        DomainError: If it is reserved.
+        UsageError: If the environment defines a domain that is not allowed.
     """
     domain_id = options.domain_id
     if not machine.needs_private_domain:
@@ -257,7 +257,7 @@ def _carry_out(
     """Carry out a run in its folder; the last line that is printed is the folder's path.
 
     Raises:
-        UnsuccessfulRunError: If it did not end well.
+        UnsuccessfulRunError: If it failed.
         OSError: If the folder cannot be written.
     """
     facts = {
@@ -308,7 +308,7 @@ def _tune(
     domain: RosDomain,
     values: Mapping[str, object],
 ) -> Conclusion:
-    """Run the nodes until the console is done, and make the report."""
+    """Run the nodes until the console ends, and create the report."""
     config, python = folder.path / CONFIG_FILE, project.environment.python
     commands = {}
     machine = checked.machine.start_command(python, config, values)
@@ -349,7 +349,7 @@ def _tune(
 
 
 def _judge(folder: RunFolder) -> Conclusion:
-    """Return what became of a run that came to its end: one without a valid evaluation failed."""
+    """Return the conclusion of a completed run, which failed if no evaluation is valid."""
     summary = folder.summary()
     failed = summary.get("failed")
     if not failed or failed != summary.get("evaluations"):
@@ -365,7 +365,7 @@ def now() -> str:
 
 
 def _versions(folder: Path) -> dict[str, str]:
-    """Return the versions of what a virtual environment holds and a run depends on."""
+    """Return the versions of the packages of a virtual environment on which a run depends."""
     packages = [str(path) for path in folder.glob("lib/python3.*/site-packages")]
     found = metadata.distributions(path=packages)
     wanted = {d.name: d.version for d in found if d.name in _RECORDED_VERSIONS}

@@ -1,4 +1,4 @@
-"""A run's folder as the entry script sees it: made, described in `run.json`, listed and shown."""
+"""The folder of a run: its creation, `run.json`, and its description for the user."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from launcher.errors import RunFolderError
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
 RUN_ID_RULE = "letters, digits, '_', '.' and '-', a letter or digit first, 100 characters at most"
 
-# These and the rule for names are those of `mobo_tuner.runs`, which this script cannot import; a
-# test compares them.
+# The names and the rule are also defined in `mobo_tuner.runs`, which this script cannot import; a test
+# compares them.
 RUN_FILE = "run.json"
 CONFIG_FILE = "config.yaml"
 SUMMARY_FILE = "summary.json"
@@ -31,7 +31,7 @@ class RunFolder:
     """The folder of one run.
 
     Attributes:
-        path: of the folder, absolute.
+        path: Absolute path of the folder.
     """
 
     def __init__(self, path: Path) -> None:
@@ -39,28 +39,28 @@ class RunFolder:
 
     @classmethod
     def create(cls, runs_dir: Path, run_id: str | None, label: str) -> RunFolder:
-        """Make the folder of a new run.
+        """Create the folder of a new run.
 
         Args:
-            runs_dir: where runs are kept; made if it is missing.
-            run_id: name of the run; None for one made of the time and the label.
-            label: what a name that is made up ends with.
+            runs_dir: Folder of the runs; created if it is missing.
+            run_id: Name of the run; None for one from the time and the label.
+            label: End of a name from the time.
 
         Raises:
-            RunFolderError: there is such a run already, or the folder cannot be made.
+            RunFolderError: If the run exists already, or the folder cannot be created.
         """
         return cls._make(runs_dir, [run_id] if run_id else _new_names(label))
 
     @classmethod
     def create_after(cls, earlier: RunFolder, run_id: str | None) -> RunFolder:
-        """Make the folder of a run that goes on with an earlier one, beside it.
+        """Create the folder of a run that resumes an earlier one, beside it.
 
         Args:
-            earlier: what it goes on with.
-            run_id: name of the run; None for that of the earlier one with the next free number.
+            earlier: Folder of the earlier run.
+            run_id: Name of the run; None for the earlier name with the next free number.
 
         Raises:
-            RunFolderError: there is such a run already, or the folder cannot be made.
+            RunFolderError: If the run exists already, or the folder cannot be created.
         """
         numbered = re.fullmatch(r"(.+)-[0-9]+", earlier.run_id)
         stem = numbered[1] if numbered and "resumed_from" in earlier.facts() else earlier.run_id
@@ -69,7 +69,7 @@ class RunFolder:
 
     @classmethod
     def _make(cls, runs_dir: Path, names: Sequence[str]) -> RunFolder:
-        """Make the first of the folders that is not there yet."""
+        """Create the first of the folders that does not exist."""
         try:
             runs_dir.mkdir(parents=True, exist_ok=True)
             for name in names:
@@ -90,10 +90,10 @@ class RunFolder:
 
     @classmethod
     def find(cls, run: str, runs_dir: Path) -> RunFolder:
-        """The folder of a run that is given by its id or by a path.
+        """Return the folder of a run that is given by its id or by a path.
 
         Raises:
-            RunFolderError: there is no such run.
+            RunFolderError: If there is no such run.
         """
         candidates = [Path(run)] if os.sep in run else [runs_dir / run, Path(run)]
         for path in candidates:
@@ -103,10 +103,10 @@ class RunFolder:
 
     @classmethod
     def all(cls, runs_dir: Path) -> list[RunFolder]:
-        """The runs in a folder, by name; none if the folder does not exist.
+        """Return the runs in a folder, by name; none if the folder does not exist.
 
         Raises:
-            RunFolderError: the folder cannot be read.
+            RunFolderError: If the folder cannot be read.
         """
         try:
             return [cls(path.parent) for path in sorted(runs_dir.glob(f"*/{RUN_FILE}"))]
@@ -115,12 +115,12 @@ class RunFolder:
 
     @property
     def run_id(self) -> str:
-        """The run's id: the folder's name."""
+        """Id of the run, the folder's name."""
         return self.path.name
 
     @property
     def has_journal(self) -> bool:
-        """Whether there is anything to report on."""
+        """Whether the run has a journal to report on."""
         return (self.path / JOURNAL_FILE).is_file()
 
     def adopt(self, folder: Path) -> None:
@@ -144,20 +144,20 @@ class RunFolder:
         return ""
 
     def record(self, facts: Mapping[str, Any]) -> None:
-        """Write `run.json`, at once and whole.
+        """Write `run.json` atomically.
 
         Raises:
-            OSError: it cannot be written.
+            OSError: If it cannot be written.
         """
         draft = self.path / f".{RUN_FILE}.draft"
         draft.write_text(json.dumps(facts, indent=2, ensure_ascii=False) + "\n")
         draft.replace(self.path / RUN_FILE)
 
     def facts(self) -> dict[str, Any]:
-        """What `run.json` says, the state brought up to date; empty if there is none.
+        """Return the content of `run.json` with the current state; empty if there is none.
 
         Raises:
-            RunFolderError: it cannot be read.
+            RunFolderError: If it cannot be read.
         """
         facts = self._read(RUN_FILE)
         if facts.get("state") == "running" and not _is_alive(facts):
@@ -165,18 +165,18 @@ class RunFolder:
         return facts
 
     def summary(self) -> dict[str, Any]:
-        """What `summary.json` says; empty if there is none.
+        """Return the content of `summary.json`; empty if there is none.
 
         Raises:
-            RunFolderError: it cannot be read.
+            RunFolderError: If it cannot be read.
         """
         return self._read(SUMMARY_FILE)
 
     def row(self) -> list[str]:
-        """The run in a table: id, state, evaluations, hypervolume, start.
+        """Return the row of a table: id, state, evaluations, hypervolume, start.
 
         Raises:
-            RunFolderError: it cannot be read.
+            RunFolderError: If it cannot be read.
         """
         facts, summary = self.facts(), self.summary()
         return [
@@ -188,10 +188,10 @@ class RunFolder:
         ]
 
     def description(self) -> str:
-        """The main facts of the run and its Pareto front, for a person to read.
+        """Return the main facts of the run and its Pareto front, for people.
 
         Raises:
-            RunFolderError: it cannot be read.
+            RunFolderError: If it cannot be read.
         """
         facts, summary = self.facts(), self.summary()
         lines = [f"run {self.run_id}"]
@@ -252,7 +252,7 @@ def is_bag(path: Path) -> bool:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table: the first column to the left, the others to the right."""
+    """Return the lines of a table: the first column left-aligned, the others right-aligned."""
     widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
     return [
         "  ".join(
@@ -264,7 +264,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def process_start(pid: int) -> str | None:
-    """When a living process started, in the kernel's ticks: with its id it names it for good.
+    """Return the start time of a process in kernel ticks, which identifies it together with its id.
 
     None if there is no such process.
     """
@@ -272,7 +272,7 @@ def process_start(pid: int) -> str | None:
         content = Path(f"/proc/{pid}/stat").read_text()
     except OSError:
         return None
-    # After the program's name, in brackets that may hold anything, the 20th field is the start.
+    # The start is the 20th field after the program's name, which is in brackets.
     state, *fields = content.rpartition(")")[2].split()
     return None if state == "Z" else fields[18]
 
@@ -283,7 +283,7 @@ def _is_alive(facts: Mapping[str, Any]) -> bool:
 
 
 def _machine(facts: Mapping[str, Any]) -> str | None:
-    """Return in a few words which machine a run had; None if that is not recorded."""
+    """Return the machine of a run in a few words; None if it is not recorded."""
     machine = facts.get("machine")
     if not isinstance(machine, Mapping):
         return None
@@ -291,7 +291,7 @@ def _machine(facts: Mapping[str, Any]) -> str | None:
         return f"{machine['section']}, started by the run"
     if "command" in machine:
         return f"{machine['command']}, started by the run"
-    return f"there already, in ROS domain {facts.get('domain_id')}"
+    return f"already running, in ROS domain {facts.get('domain_id')}"
 
 
 def _new_names(label: str) -> list[str]:
@@ -301,7 +301,7 @@ def _new_names(label: str) -> list[str]:
 
 
 def _text(value: object) -> str:
-    """A value of a JSON file for a person; '-' where there is none."""
+    """Return a value of a JSON file for people; '-' if there is none."""
     if value is None:
         return "-"
     if isinstance(value, float):

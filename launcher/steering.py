@@ -1,4 +1,4 @@
-"""The verbs of `mobo.py` that concern a running tuner: where it is, and the program that talks to it."""
+"""The verbs of `mobo.py` for a running tuner: find it, and start the program that calls it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from launcher.ros_domain import surroundings
 from launcher.run_folder import RunFolder
 
 PROGRAM = "mobo_tuner.nodes.steer"
-# What says in the user's own environment how ROS programs find each other.
+# Variables of the user's environment that define how ROS programs find each other.
 DISCOVERY = (
     "ROS_DOMAIN_ID",
     "ROS_AUTOMATIC_DISCOVERY_RANGE",
@@ -26,17 +26,17 @@ DISCOVERY = (
     "FASTDDS_BUILTIN_TRANSPORTS",
     "FASTRTPS_DEFAULT_PROFILES_FILE",
 )
-WITH_RUN = ("points", "go")  # the program's verbs that concern earlier runs, too
+WITH_RUN = ("points", "go")  # verbs that also concern earlier runs
 
 
 def steer(root: Path, arguments: Sequence[str]) -> NoReturn:
-    """Become the program that does what the verb says.
+    """Replace this process by the program of the verb.
 
-    Signals, the terminal and the exit status are then its own.
+    The program then handles signals and the terminal, and sets the exit status.
 
     Args:
         root: Folder of the project.
-        arguments: The verb and its arguments.
+        arguments: Verb and its arguments.
 
     Raises:
         UsageError, SetupError, RunFolderError, Interrupted, OSError
@@ -57,7 +57,7 @@ def steer(root: Path, arguments: Sequence[str]) -> NoReturn:
 
 
 def _parser(root: Path, verb: str) -> argparse.ArgumentParser:
-    """Return the parser of what says where the tuner is; the program understands the rest."""
+    """Return the parser of the options that define the tuner; the program parses the others."""
     assert verb in STEERING
     parser = Parser(prog=f"mobo.py {verb}", add_help=False, allow_abbrev=False)
     add_runs_dir(parser, root)
@@ -71,10 +71,10 @@ def _find_tuner(
 ) -> dict[str, str]:
     """Return the environment variables with which the program finds the tuner.
 
-    A run that is going on is found by its folder; nodes that stay, by `ROS_DOMAIN_ID`.
+    An active run is found by its folder, permanent nodes by `ROS_DOMAIN_ID`.
 
     Raises:
-        UsageError: If it is not clear which tuner is meant.
+        UsageError: If the choice of the tuner is not unique.
         RunFolderError: If there is no such run.
     """
     own = {name: environment[name] for name in DISCOVERY if name in environment}
@@ -90,7 +90,7 @@ def _find_tuner(
         if domain is not None:
             return surroundings(domain)
         if verb not in WITH_RUN:
-            raise UsageError(f"the run '{options.run}' is not going on")
+            raise UsageError(f"the run '{options.run}' is not active")
     running = {}
     for folder in RunFolder.all(options.runs_dir):
         with contextlib.suppress(RunFolderError):  # one that cannot be read hides no other
@@ -100,7 +100,7 @@ def _find_tuner(
     domains = {*map(str, running.values())} | ({given} if given else set())
     if not domains:
         raise UsageError(
-            f"no run is going on in '{options.runs_dir}', and ROS_DOMAIN_ID is not set: "
+            f"no run is active in '{options.runs_dir}', and ROS_DOMAIN_ID is not set: "
             "give --domain-id"
         )
     if len(domains) > 1:
@@ -111,7 +111,7 @@ def _find_tuner(
 
 
 def _domain_of(folder: RunFolder) -> int | None:
-    """Return the ROS domain of a run that is going on; None if it is not.
+    """Return the ROS domain of an active run; None if the run is not active.
 
     Raises:
         RunFolderError: If the folder cannot be read.

@@ -1,4 +1,4 @@
-"""The processes of one run: what is started, what is watched, and in which order it ends."""
+"""The processes of one run: their start, supervision and the order of their end."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from pathlib import Path
 from launcher.processes import Interrupted, Processes, describe_status
 
 EXIT_LIMIT = 5.0  # [s] from a signal to the end of everything
-_FAREWELL = 5.0  # [s] for the others to finish of themselves after a node has died
-_STOP_PATIENCE = 4.0  # [s] for a node to end when asked to; one that hangs says where after 3.5 s
+_FAREWELL = 5.0  # [s] for the others to end after a node has died
+_STOP_PATIENCE = 4.0  # [s] for a node to end on request; a hanging one prints its stack after 3.5 s
 _HURRIED_PATIENCE = 1.3  # [s] the same after a signal, once for each of the three steps
 _REPORT_TIMEOUT = 120.0  # [s]
 _RESERVE = 0.4  # [s] of EXIT_LIMIT kept for this script's own end
-_UNHANDLED_SIGINT = (-signal.SIGINT, 128 + signal.SIGINT)  # statuses of who was asked to stop
-_CANCELED = 130  # status of the foreground after a run that somebody canceled
+_UNHANDLED_SIGINT = (-signal.SIGINT, 128 + signal.SIGINT)  # statuses after a request to stop
+_CANCELED = 130  # status of the foreground after a canceled run
 _LOG_TAIL = 5  # lines shown of the log of a node that died
 _SENTENCE_LIMIT = 500  # characters of another program's last words that are repeated
 
 
 @dataclass(frozen=True)
 class Conclusion:
-    """What became of a run.
+    """The conclusion of a run.
 
     Attributes:
         state: State of the run in `run.json`: 'finished', 'failed', 'canceled' or 'interrupted'.
-        reason: One sentence that says why, unless it finished.
+        reason: Reason in one sentence; empty if the run finished.
         exit_status: Exit status of the entry script.
         details: Lines that help to find the cause.
     """
@@ -51,15 +51,15 @@ class Command:
 
 @dataclass(frozen=True)
 class Launch:
-    """What is started for a run.
+    """The programs of a run.
 
     Attributes:
         commands: Command of each program, by the program's name.
-        foreground: Name of the program that talks to the user; the run lasts as long as it does.
+        foreground: Name of the program with the user interface; the run ends when it ends.
         last: Name of the program that is stopped after all others, since it records them.
         environment: Environment variables of all programs.
         folder: Folder of the run; logs go to its `log`.
-        goes_back: Whether the machine is moved after a cancel, which takes its time.
+        goes_back: Whether the machine is moved after a cancel.
     """
 
     commands: Mapping[str, Command]
@@ -75,19 +75,19 @@ class Launch:
 
 
 class Supervisor:
-    """Starts the programs of a run, watches over them and stops them in order."""
+    """Starts the programs of a run, supervises them and stops them in order."""
 
     def __init__(self, processes: Processes, launch: Launch) -> None:
         self._processes = processes
         self._launch = launch
         self._running: dict[str, subprocess.Popen[bytes]] = {}
-        self._deadline = float("inf")  # of everything, once a signal came
+        self._deadline = float("inf")  # for the end of all programs after a signal
 
     def run(self) -> Conclusion:
-        """Run to the end, whatever it is; every program has ended when this returns.
+        """Carry out the run; every program has ended when this returns.
 
         Raises:
-            OSError: a program cannot be started.
+            OSError: If a program cannot be started.
         """
         try:
             self._start()
@@ -99,19 +99,19 @@ class Supervisor:
         for names in ([foreground], nodes, [last]):
             try:
                 self._stop(names)
-            except Interrupted as interruption:  # comes once, so that the second try is left alone
+            except Interrupted as interruption:  # raised once, so the second try is not interrupted
                 conclusion = self._hurry(interruption)
                 self._stop(names)
         return self._judge() if conclusion.state == "finished" else conclusion
 
     def report(self, command: Sequence[str]) -> str:
-        """Run the program that makes the report.
+        """Run the program that creates the report.
 
         Returns:
             One sentence if it failed, else nothing.
 
         Raises:
-            Interrupted: a signal came.
+            Interrupted: If a signal arrived.
         """
         timeout = min(_REPORT_TIMEOUT, self._deadline - time.monotonic() - _RESERVE)
         if timeout <= 0.0:
@@ -142,7 +142,7 @@ class Supervisor:
                 )
 
     def _watch(self) -> Conclusion:
-        """Wait until the foreground ends, or a node dies and the foreground has had its chance."""
+        """Wait until the foreground ends, or a node dies and the foreground has had time to end."""
         foreground = self._running[self._launch.foreground]
         self._processes.wait_until(
             lambda: foreground.poll() is not None or self._dead_node() is not None, float("inf")
@@ -160,7 +160,7 @@ class Supervisor:
         return Conclusion("finished")
 
     def _interrupt(self, interruption: Interrupted) -> Conclusion:
-        """Take the first signal: Ctrl-C lets the machine go back first, if it does; a second not."""
+        """Handle the first signal: after Ctrl-C the machine may move to its fallback, until a second."""
         foreground = self._running.get(self._launch.foreground)
         if self._launch.goes_back and interruption.number == signal.SIGINT and foreground:
             try:
@@ -173,7 +173,7 @@ class Supervisor:
         return self._hurry(interruption)
 
     def _hurry(self, interruption: Interrupted) -> Conclusion:
-        """From here on there is little time."""
+        """Stop all programs within `EXIT_LIMIT`."""
         self._deadline = time.monotonic() + EXIT_LIMIT
         return interrupted(interruption)
 
@@ -185,7 +185,7 @@ class Supervisor:
         )
 
     def _judge(self) -> Conclusion:
-        """The conclusion of a run that went well, unless a node did not end well."""
+        """Return the conclusion of a successful run, unless a node failed at its end."""
         for name, process in self._running.items():
             unhandled = name != self._launch.last and process.returncode in _UNHANDLED_SIGINT
             if process.returncode != 0 and not unhandled:
@@ -200,25 +200,25 @@ class Supervisor:
         return Conclusion("failed", f"the run failed: {what}", 1, details)
 
     def _dead_node(self) -> str | None:
-        """The first node found dead, if any."""
+        """Return the first dead node, if there is one."""
         for name, process in self._running.items():
             if name != self._launch.foreground and process.poll() is not None:
                 return name
         return None
 
     def _last_words(self, name: str, status: int) -> str:
-        """The last line of a program's log, which by custom says why it failed."""
+        """Return the last line of a program's log, which describes its failure."""
         lines = _lines(self._launch.log(name))
         return lines[-1][:_SENTENCE_LIMIT] if lines else f"the {name} {describe_status(status)}"
 
 
 def interrupted(interruption: Interrupted) -> Conclusion:
-    """The conclusion of a run that a signal cut short."""
+    """Return the conclusion of a run that was interrupted by a signal."""
     return Conclusion("interrupted", f"the run was {interruption}", interruption.exit_status)
 
 
 def _lines(log: Path) -> list[str]:
-    """The lines of a log that say anything; none if there is no log."""
+    """Return the lines of a log that are not empty; none if there is no log."""
     with contextlib.suppress(OSError):
         text = log.read_text(errors="replace")
         return [line for line in text.splitlines() if line.strip()]

@@ -1,4 +1,4 @@
-"""The verbs of `mobo.py` that start no run."""
+"""The verbs of `mobo.py` that do not start a run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _PARALLEL_TESTS = ("-n", "2", "--dist", "loadfile")
 
 
 def check(options: argparse.Namespace) -> None:
-    """Say what a parameter file means, without starting anything.
+    """Print what a parameter file means, without starting anything.
 
     Raises:
         UsageError, SetupError, Interrupted, OSError
@@ -62,7 +62,7 @@ def list_runs(options: argparse.Namespace) -> None:
     """Print the runs in a folder as a table.
 
     Raises:
-        RunFolderError: the folder cannot be read.
+        RunFolderError: If the folder cannot be read.
     """
     rows = []
     for folder in RunFolder.all(options.runs_dir):
@@ -79,10 +79,10 @@ def list_runs(options: argparse.Namespace) -> None:
 
 
 def show(options: argparse.Namespace) -> None:
-    """Print what came out of a run.
+    """Print the result of a run.
 
     Raises:
-        RunFolderError: there is no such run, or it cannot be read.
+        RunFolderError: If there is no such run, or it cannot be read.
     """
     print(RunFolder.find(options.run, options.runs_dir).description())
 

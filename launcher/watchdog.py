@@ -1,9 +1,9 @@
-"""Ends what `mobo.py` started when `mobo.py` itself was killed and could not.
+"""Ends the processes that `mobo.py` started if `mobo.py` itself was killed.
 
-Every process that the entry script starts carries a marker in its environment, which its own
-children inherit. This program waits, in a session of its own, until its standard input closes: the
-other end is held by `mobo.py` alone, so that the kernel closes it however `mobo.py` ends. Whatever
-still carries the marker then is asked to stop (SIGTERM) and soon after killed.
+Every process that the entry script starts has a marker in its environment, which its children inherit.
+This program waits, in a session of its own, until its standard input closes: only `mobo.py` has the
+other end, which the kernel closes when `mobo.py` ends in any way. Processes that still have the marker
+are then asked to stop (SIGTERM) and finally killed.
 
 `python watchdog.py MARK`
 """
@@ -19,11 +19,11 @@ import time
 MARKER = "MOBO_PROCESS_MARK"  # environment variable
 PATIENCE = 4.0  # [s] between SIGTERM and SIGKILL
 _POLL_PERIOD = 0.05  # [s]
-_KILL_TIMEOUT = 5.0  # [s] for the kernel to take away what was killed
+_KILL_TIMEOUT = 5.0  # [s] for the kernel to remove killed processes
 
 
 def marked_processes(mark: str) -> list[int]:
-    """Ids of the living processes that carry the mark, other than this one."""
+    """Return the ids of the living processes with the mark, other than this one."""
     needle = f"{MARKER}={mark}".encode()
     found = []
     for name in os.listdir("/proc"):
@@ -39,7 +39,7 @@ def marked_processes(mark: str) -> list[int]:
 
 
 def end_marked_processes(mark: str, patience: float = PATIENCE) -> None:
-    """Ask the marked processes to stop, and kill those that have not after `patience` seconds."""
+    """Ask the marked processes to stop, and kill those that still run after `patience` seconds."""
     asked: set[int] = set()
     kill_at = time.monotonic() + patience
     give_up_at = kill_at + _KILL_TIMEOUT

@@ -83,9 +83,9 @@ def test_fields_are_read() -> None:
     [
         (Float64, "value", "Float64 has no field 'value'; it has data"),
         (Float64, "data.x", "data.x: double has no field 'x'"),
-        (Float64, "data[0]", "data[0]: double is no array, and has no elements"),
+        (Float64, "data[0]", "data[0]: double is not an array"),
         (JointState, "position", "position is an array of double; a number"),
-        (JointState, "position[velocity=Q1]", "'velocity' holds no texts to choose by"),
+        (JointState, "position[velocity=Q1]", "'velocity' is not an array of strings to select by"),
         (JointState, "position[label=Q1]", "JointState has no field 'label'"),
         (JointState, "header", "header is std_msgs/msg/Header; a number"),
         (PoseWithCovariance, "covariance[36]", "the array has 36 elements, counted from 0"),
@@ -113,7 +113,7 @@ def test_paths_that_fit_are_accepted() -> None:
     check_boolean(SetParameters.Response, parse_field_path("results[0].successful"))
     with pytest.raises(FieldError, match="Time is needed"):
         check_time(JointState, parse_field_path("header"))
-    with pytest.raises(FieldError, match="a truth value is needed"):
+    with pytest.raises(FieldError, match="a boolean is required"):
         check_boolean(JointState, parse_field_path("position[0]"))
 
 

@@ -162,7 +162,7 @@ def spoilt(tmp_path: Path) -> Path:
         ("resume nothing", "there is no run 'nothing'"),
         ("resume empty", "there is no run 'empty'"),
         ("resume broken", "does not begin with a start record"),
-        ("resume broken --run-id ../out", "'../out' is no run id"),
+        ("resume broken --run-id ../out", "'../out' is not a run id"),
         ("resume ../../etc", "there is no run '../../etc'"),
         ("report broken", "does not begin with a start record"),
         ("replay broken", "does not begin with a start record"),

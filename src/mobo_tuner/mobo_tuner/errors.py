@@ -13,11 +13,11 @@ class UserError(ValueError):
 
 
 class FileError(UserError):
-    """A file that cannot be read or does not hold what it must."""
+    """A file that cannot be read or whose content is not allowed."""
 
 
 class ParameterError(UserError):
-    """A parameter, of a node or in a file, that is unknown or has a value that is not allowed."""
+    """A parameter that is unknown or has a value that is not allowed."""
 
 
 class MessageError(UserError):
@@ -25,6 +25,6 @@ class MessageError(UserError):
 
 
 def one_line(text: str) -> str:
-    """Return a text on one line, cut off at `MAX_LENGTH` characters."""
+    """Return a text in one line of at most `MAX_LENGTH` characters."""
     line = " ".join("".join(c if c.isprintable() else " " for c in text[: 4 * MAX_LENGTH]).split())
     return line if len(line) <= MAX_LENGTH else f"{line[: MAX_LENGTH - 3]}..."

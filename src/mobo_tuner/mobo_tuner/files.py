@@ -1,4 +1,4 @@
-"""Files: written whole or not at all, and YAML whose mistakes are named in one sentence."""
+"""Atomic writing of files, and reading of YAML with errors of one sentence."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import yaml
 
 from mobo_tuner.errors import FileError
 
-MAX_VALUES = 100_000  # in a file, those that aliases repeat included
+MAX_VALUES = 100_000  # in a file, including repetitions by aliases
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write a file so that a reader sees either what was there before or all of the new content.
+    """Write a file atomically: a reader sees either the old or the new content.
 
     Raises:
-        OSError: it cannot be written; what was there before stays.
+        OSError: If it cannot be written; the old content remains.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
@@ -52,7 +52,7 @@ def load_yaml(path: str | Path) -> dict[str, Any]:
     except RecursionError:
         raise FileError(f"the file '{path}' is nested too deeply") from None
     except (AttributeError, ArithmeticError, TypeError, ValueError) as error:
-        # Of a value that is none of the type it names, as in `!!timestamp x`.
+        # A value that does not have the type of its tag, as in `!!timestamp x`.
         raise FileError(f"the file '{path}' is not valid YAML: {error}") from None
     if _count(content, {}) > MAX_VALUES:
         raise FileError(f"the file '{path}' holds more than the {MAX_VALUES} values allowed")
@@ -62,9 +62,9 @@ def load_yaml(path: str | Path) -> dict[str, Any]:
 
 
 def _count(value: Any, known: dict[int, float]) -> float:
-    """Number of values within, each alias written out; infinite where one holds itself.
+    """Return the number of values with expanded aliases; infinite if a value contains itself.
 
-    A few aliases of aliases stand for more than any computer can write out.
+    A few nested aliases can expand to more values than fit in any memory.
     """
     if not isinstance(value, dict | list | tuple | set):
         return 1.0
@@ -76,7 +76,7 @@ def _count(value: Any, known: dict[int, float]) -> float:
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
-    """YAML loader that refuses a key given twice, of which PyYAML would silently drop the first."""
+    """YAML loader that rejects repeated keys, of which PyYAML would silently drop the first."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()

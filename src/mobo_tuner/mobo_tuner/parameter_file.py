@@ -35,7 +35,7 @@ def node_sections(content: Mapping[Any, Any]) -> dict[str, dict[str, Any]]:
 
 
 def flat(section: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the parameters of a section as ROS names them: with a dot for each mapping around them."""
+    """Yield the parameters of a section with their ROS names, which have a dot per nested mapping."""
     for name, value in section.items():
         if isinstance(value, Mapping) and value:
             yield from flat(value, f"{prefix}{name}.")
@@ -46,7 +46,7 @@ def flat(section: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
 def check_section(
     where: str, section: Mapping[str, Any], specs: Sequence[ParameterSpec]
 ) -> dict[str, Any]:
-    """Check one node's parameters as they stand in a file; defaults fill what is not given.
+    """Check one node's parameters in a file, and fill in the defaults.
 
     Args:
         where: Name of the section.

@@ -1,8 +1,8 @@
-"""What a parameter may be: its types, range and names, checked in one way wherever it comes from.
+"""Specification of a parameter: its types, range and choices, and its check.
 
-A parameter of a node and a choice of the optimiser are the same thing. The fields of a settings
-dataclass made with `parameter` are its specifications (`specs_of`): its values are checked
-(`check_fields`), the node's parameters declared and the tables of docs/ generated from them.
+Parameters of nodes and settings of the optimiser use the same specifications. The fields of a settings
+dataclass made with `parameter` define them (`specs_of`): the check of its values (`check_fields`), the
+declaration of the node's parameters and the tables of docs/ use them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from mobo_tuner.errors import ParameterError
 
 ParameterValue = bool | int | float | str | tuple[float, ...] | None
 
-NULL = "null"  # in a parameter file; ROS hands it on as text
+NULL = "null"  # in a parameter file; ROS passes it on as a string
 _TYPE_NAMES = {
     bool: "true or false",
     int: "an integer",
@@ -37,12 +37,12 @@ class ParameterSpec:
     A parameter of a node is read when the node starts; only a `writable` one may be set later.
 
     Attributes:
-        name: Name, with dots where it stands below another one.
-        default: Value where none is given.
+        name: Name, with dots if it is below another one.
+        default: Default value.
         description: Meaning, with its unit.
         minimum: Least number allowed, also of each in a list.
         maximum: Greatest number allowed, also of each in a list.
-        choices: Texts allowed; any text if empty.
+        choices: Allowed strings; any string if empty.
         writable: Whether it may be set while the node runs.
         types: Types allowed, of bool, int, float, str, tuple (a list of numbers) and NoneType;
             that of `default` if empty.
@@ -60,13 +60,13 @@ class ParameterSpec:
     matrix: bool = False
 
     def __post_init__(self) -> None:
-        """Take the type of the default where none is given."""
+        """Use the type of the default if no type is given."""
         object.__setattr__(self, "types", self.types or (type(self.default),))
 
     def check(self, value: object, where: str = "") -> ParameterValue:
         """Return the value as one of this parameter's types.
 
-        An integer may stand for a number, arrays of NumPy and rclpy for lists, and the text
+        An integer is accepted for a number, an array of NumPy or rclpy for a list, and the string
         "null" for null. The rows of a matrix become one list.
 
         Args:
@@ -121,7 +121,7 @@ class ParameterSpec:
 
     @property
     def type_name(self) -> str:
-        """The types allowed, in words."""
+        """Allowed types, in words."""
         words = [text for kind, text in _TYPE_NAMES.items() if kind in self.types]
         if self.choices and len(words) > 1:
             words = ["a name" if word == _TYPE_NAMES[str] else word for word in words]
@@ -129,7 +129,7 @@ class ParameterSpec:
 
     @property
     def range_text(self) -> str:
-        """What is allowed, in words; empty where everything is."""
+        """Allowed values, in words; empty if there is no limit."""
         return "; ".join(text for text in (", ".join(self.choices), self._number_range) if text)
 
     @property
@@ -192,14 +192,14 @@ def check_fields(settings: Any) -> None:
 
 
 def unknown(name: str, known: Collection[str], where: str) -> str:
-    """Return the sentence about an unknown parameter, with the known one that is most like it."""
+    """Return the error about an unknown parameter, with the most similar known one."""
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean '{near[0]}'?" if near else f"allowed are {', '.join(known)}"
     return f"'{name}' is unknown in {where}; {hint}"
 
 
 def _plain_types(hint: Any) -> Iterator[type]:
-    """The types of an annotation, without what they hold."""
+    """Return the types of an annotation, without their arguments."""
     if get_origin(hint) in (Union, UnionType):
         for part in get_args(hint):
             yield from _plain_types(part)
@@ -216,5 +216,7 @@ def _join(words: Sequence[str]) -> str:
     return f"{', '.join(most)} or {last}" if most else last
 
 
-AUTOSTART = ParameterSpec("autostart", True, "configure and activate the node at its start")
+AUTOSTART = ParameterSpec(
+    "autostart", True, "Whether the node configures and activates itself at its start."
+)
 """Parameter of every machine's lifecycle node."""

@@ -16,7 +16,7 @@ _PROBLEM = {
 
 
 def warm_up() -> None:
-    """Make a few suggestions with every acquisition function."""
+    """Compute a few suggestions with every acquisition function."""
     for acquisition in ACQUISITION_FUNCTIONS:
         single = ACQUISITION_FUNCTIONS.find(acquisition).single_objective
         optimizer = Optimizer(

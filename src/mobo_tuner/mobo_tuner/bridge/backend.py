@@ -1,4 +1,4 @@
-"""Bridge to any control system: a mapping says where set-points go and where values come from."""
+"""Bridge to any control system: a mapping assigns its topics, services and actions to variables."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class BridgeBackend(RampedBackend):
     """Machine behind topics, services and actions of any types.
 
     Args:
-        node: Node that talks to them.
+    node: Node of their publishers, subscriptions and clients.
         mapping: Mapping of variables and diagnostics to them.
         executor: Executor on which the coroutines run.
 
     Raises:
-        MappingError: If the mapping does not fit the installed types. Nothing was sent until then,
-            nor is anything before the first move.
+        MappingError: If the mapping does not fit the installed types. Nothing is sent before the first
+            move.
     """
 
     def __init__(self, node: Node, mapping: MachineMapping, executor: Executor) -> None:
@@ -65,14 +65,14 @@ class BridgeBackend(RampedBackend):
         return self._readbacks[name].latest
 
     def readback_problem(self, name: str) -> str:
-        """Return why the readback of a variable is unknown."""
+        """Return the reason why the readback of a variable is unknown, else an empty string."""
         return self._readbacks[name].problem
 
     def forbidden(self) -> Failure | None:
-        """Return which interlock forbids to move, or is unknown."""
+        """Return a failure if an interlock prevents moves or is unknown."""
         for name, signal in self._interlocks.items():
             if signal.problem:
-                # As after a restart: the connection is lost, which may come back by itself.
+                # Treated like a lost connection, which may come back.
                 return Failure(
                     _Result.MACHINE_LOST, f"interlock {name} is not known: {signal.problem}"
                 )
@@ -81,7 +81,7 @@ class BridgeBackend(RampedBackend):
         return None
 
     def missing(self) -> str:
-        """Return which part of the control system is missing."""
+        """Return the missing part of the control system, else an empty string."""
         problems = [output.problem for output in self._outputs] + self._measuring.problems()
         return next((problem for problem in problems if problem), "")
 
@@ -134,7 +134,7 @@ class BridgeBackend(RampedBackend):
             output.cancel()
 
     def unsettled(self) -> str:
-        """Return which variable's own condition does not hold."""
+        """Return the variable whose `settled` condition does not hold, else an empty string."""
         for name, signal in self._settled.items():
             if signal.problem:
                 return f"whether {name} is settled is not known: {signal.problem}"

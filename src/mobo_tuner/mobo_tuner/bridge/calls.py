@@ -1,4 +1,4 @@
-"""One service or action of any type, asked with a time limit."""
+"""Calls of a service or an action of any type, with a time limit."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from mobo_tuner.bridge.mapping import Endpoint
 from mobo_tuner.bridge.section import MappingError
 
 Wait = Callable[[Future, float], Awaitable[bool]]
-"""Waits for a future, at most so many seconds; whether it is done. An interrupt ends it early."""
+"""Waits for a future with a timeout [s] and returns whether it is done; an interrupt ends the wait."""
 
 
 class CallError(Exception):
-    """A call without a good answer; the message is one sentence.
+    """A failed call; the message is one sentence.
 
     Attributes:
-        answered: whether there was an answer at all.
+        answered: Whether the server responded.
     """
 
     def __init__(self, message: str, *, answered: bool) -> None:
@@ -38,14 +38,14 @@ class CallError(Exception):
 
 
 class Call:
-    """A service or an action that is asked for one thing at a time.
+    """A service or an action with one call at a time.
 
     Args:
-        node: on whose executor the call is awaited.
-        endpoint: what is asked, with which message, and for how long.
+        node: Node that calls; its executor awaits the response.
+        endpoint: Endpoint that is called, with its message and timeout.
 
     Raises:
-        MappingError: the types do not fit the endpoint.
+        MappingError: If the types do not fit the endpoint.
     """
 
     def __init__(self, node: Node, endpoint: Endpoint) -> None:
@@ -63,7 +63,7 @@ class Call:
                 endpoint, lambda: node.create_client(interface, self._target.name)
             )
             self.request_type, self.answer_type = interface.Request, interface.Response
-        self._handle: Any = None  # of the action's goal that goes on
+        self._handle: Any = None  # of the action's active goal
         check(endpoint, "message", lambda: fill(self.request_type(), endpoint.message))
         if endpoint.success is not None:
             success = endpoint.success
@@ -71,16 +71,16 @@ class Call:
 
     @property
     def ready(self) -> bool:
-        """Whether its server is there."""
+        """Whether its server exists."""
         if self._is_action:
             return bool(self._action.server_is_ready())
         return bool(self._client.service_is_ready())
 
     async def __call__(self, wait: Wait, numbers: Mapping[FieldPath, float] = {}) -> Any:
-        """Ask with these numbers in the request; the response, or the action's result.
+        """Call with these numbers in the request; return the response or the action's result.
 
         Raises:
-            CallError: there is no answer in time, or it says that it did not succeed.
+            CallError: If no response arrives in time, or it reports a failure.
         """
         if not self.ready:
             raise CallError(f"the {self._target} is not there", answered=False)
@@ -97,7 +97,7 @@ class Call:
         return answer
 
     def request(self, numbers: Mapping[FieldPath, float]) -> Any:
-        """The request with these numbers in it."""
+        """Return the request with these numbers."""
         request = self.request_type()
         fill(request, self._endpoint.message)
         for path, number in numbers.items():
@@ -105,14 +105,14 @@ class Call:
         return request
 
     def send(self, numbers: Mapping[FieldPath, float]) -> None:
-        """Ask, and do not care for the answer."""
+        """Call without waiting for the response."""
         if self._is_action:
             self._action.send_goal_async(self.request(numbers))
         elif self.ready:
             self._client.call_async(self.request(numbers))
 
     def cancel(self) -> None:
-        """Cancel the action's goal, if one goes on."""
+        """Cancel the action's active goal, if there is one."""
         if self._handle is not None:
             self._handle.cancel_goal_async()
             self._handle = None
@@ -154,7 +154,11 @@ class Call:
 
 
 def load(endpoint: Endpoint) -> Any:
-    """The class of an endpoint's type; MappingError where it is not installed."""
+    """Return the class of an endpoint's type.
+
+    Raises:
+        MappingError: If the type is not installed.
+    """
     try:
         return load_type(endpoint.target.type_name)
     except FieldError as error:
@@ -170,10 +174,10 @@ def check(endpoint: Endpoint, key: str, act: Callable[[], object]) -> None:
 
 
 def create(endpoint: Endpoint, make: Callable[[], Any]) -> Any:
-    """Turn what rclpy raises for names and types it does not take into a MappingError."""
+    """Turn rclpy's errors about names and types into a MappingError."""
     try:
         return make()
-    except Exception as error:  # of many kinds
+    except Exception as error:  # rclpy raises many types
         reason = str(error).strip().split("\n", maxsplit=1)[0]
         raise MappingError(
             f"{endpoint.where}.{endpoint.target.kind}: {endpoint.target.name!r} cannot be used: "

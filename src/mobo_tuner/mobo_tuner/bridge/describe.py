@@ -1,4 +1,4 @@
-"""What the bridged machine of a parameter file is: `python -m mobo_tuner.bridge.describe FILE`."""
+"""Description of a parameter file's bridged machine: `python -m mobo_tuner.bridge.describe FILE`."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ MACHINE_BRIDGE = (
     ParameterSpec(
         "mapping",
         "",
-        "the mapping file: which topic, service or action is what; its path is relative to the "
-        "parameter file",
+        "Mapping file, which assigns topics, services and actions to variables and diagnostics; its "
+        "path is relative to the parameter file.",
     ),
 )
 
 
 def describe_file(path: Path) -> MachineDescription:
-    """Return what the machine of a parameter file is.
+    """Return the description of the machine of a parameter file.
 
     Raises:
         UserError: If the file or its mapping cannot be read, or something in it is not allowed.
@@ -50,12 +50,12 @@ def describe_file(path: Path) -> MachineDescription:
 
 
 def mapping_file(value: str, command_line: Sequence[str]) -> Path:
-    """Return the path of the mapping file that a node's command line stands for.
+    """Return the path of the mapping file of a node.
 
     Args:
-        value: The parameter ``mapping`` as the node got it.
-        command_line: The node's command line. A path that its parameter file gives is relative to
-            that file, one that is given by ``-p`` is relative to the working folder.
+        value: Value of the node's parameter ``mapping``.
+        command_line: Command line of the node. A path from its parameter file is relative to that
+            file, a path given by ``-p`` to the working folder.
     """
     if any(":=" in word and word.split(":=")[0].endswith("mapping") for word in command_line):
         return Path(value)
@@ -73,10 +73,10 @@ def _names_mapping(file: Path, value: str) -> bool:
 
 
 def _typical_duration(mapping: MachineMapping) -> float:
-    """Return how long an evaluation takes as far as the mapping tells it [s].
+    """Return the duration of an evaluation as far as the mapping defines it [s].
 
-    That is a ramp over a third of each range, which is the mean distance of two points drawn from
-    it, the time to settle, and what is averaged by time; how fast shots come is not known.
+    It consists of a ramp over a third of each range, which is the mean distance of two random points,
+    the time to settle, and averages over time; the rate of shots is unknown.
     """
     period = 1.0 / mapping.rate
     variables = mapping.variables.values()

@@ -23,7 +23,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Element:
-    """An element of an array, by its place."""
+    """An element of an array, by its index."""
 
     index: int
 
@@ -32,8 +32,8 @@ class Element:
 class Selection:
     """The element of an array whose field `key` is `text`.
 
-    Where the elements have no fields, `key` is the array of texts beside this one, as `name` is
-    beside `position` in a JointState.
+    If the elements have no fields, `key` is an array of strings in the same message, such as `name`
+    for `position` in a JointState.
     """
 
     key: str
@@ -62,10 +62,10 @@ class FieldPath:
 
 
 def parse_field_path(text: str) -> FieldPath:
-    """Parse a path: names divided by dots, each with at most one element in brackets.
+    """Parse a path: names separated by dots, each with at most one element in brackets.
 
     Raises:
-        ValueError: it is none; the message is one sentence.
+        ValueError: If the text is not a path; the message is one sentence.
     """
     steps: list[Step] = []
     at = 0

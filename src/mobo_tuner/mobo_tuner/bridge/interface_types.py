@@ -30,14 +30,14 @@ _LARGEST_FLOAT32 = 3.4028234e38
 
 
 class FieldError(ValueError):
-    """A field that is not there, or does not hold what is wanted; one sentence."""
+    """A field that does not exist or has the wrong type; the message is one sentence."""
 
 
 def load_type(type_name: str) -> Any:
-    """The Python class of a type such as ``std_msgs/msg/Float64``.
+    """Return the Python class of a type such as ``std_msgs/msg/Float64``.
 
     Raises:
-        FieldError: the name is none, or the type is not installed.
+        FieldError: If the name is not a type's name, or the type is not installed.
     """
     if not _TYPE_NAME.fullmatch(type_name):
         raise FieldError(f"{type_name!r} is not a type's name, such as std_msgs/msg/Float64")
@@ -49,45 +49,45 @@ def load_type(type_name: str) -> Any:
 
 
 def check_readable(message_type: Any, path: FieldPath) -> None:
-    """Check that a path leads to a number, a truth value or a text.
+    """Check that a path leads to a number, a boolean or a string.
 
     Raises:
-        FieldError: it does not.
+        FieldError: If it does not.
     """
     slot = _leaf(message_type, path)
     if not (isinstance(slot, AbstractString) or _is_number(slot) or _is_boolean(slot)):
         raise FieldError(
-            f"{path} is {_describe(slot)}; a number, a truth value or a text is needed"
+            f"{path} is {_describe(slot)}; a number, a boolean or a string is required"
         )
 
 
 def check_boolean(message_type: Any, path: FieldPath) -> None:
-    """Check that a path leads to a truth value.
+    """Check that a path leads to a boolean.
 
     Raises:
-        FieldError: it does not.
+        FieldError: If it does not.
     """
     slot = _leaf(message_type, path)
     if not _is_boolean(slot):
-        raise FieldError(f"{path} is {_describe(slot)}; a truth value is needed")
+        raise FieldError(f"{path} is {_describe(slot)}; a boolean is required")
 
 
 def check_time(message_type: Any, path: FieldPath) -> None:
     """Check that a path leads to a time.
 
     Raises:
-        FieldError: it does not.
+        FieldError: If it does not.
     """
     slot = _leaf(message_type, path)
     if _describe(slot) != "builtin_interfaces/msg/Time":
-        raise FieldError(f"{path} is {_describe(slot)}; builtin_interfaces/msg/Time is needed")
+        raise FieldError(f"{path} is {_describe(slot)}; builtin_interfaces/msg/Time is required")
 
 
 def read(message: Any, path: FieldPath) -> Any:
-    """What stands at a path.
+    """Return the value at a path.
 
     Raises:
-        FieldError: an array has no such element.
+        FieldError: If an array has no such element.
     """
     parent, value = None, message
     for step in path.steps:
@@ -102,20 +102,20 @@ def read(message: Any, path: FieldPath) -> Any:
 
 
 def write(message: Any, path: FieldPath, number: float) -> None:
-    """Put a number at a path; arrays grow as needed, and elements get the name they are chosen by.
+    """Write a number at a path; arrays grow as needed, and a selected element receives its name.
 
     Raises:
-        FieldError: the path does not lead to a number, or this one does not fit there.
+        FieldError: If the path does not lead to a number, or the number does not fit the field.
     """
     _leaf(type(message), path)
     _write(message, path.steps, number, path)
 
 
 def fill(message: Any, content: Mapping[str, Any]) -> None:
-    """Put values into a message, as a file gives them: nested mappings, lists, and plain values.
+    """Write the content of a file into a message: nested mappings, lists and plain values.
 
     Raises:
-        FieldError: a field does not exist, or a value does not fit it.
+        FieldError: If a field does not exist, or a value does not fit it.
     """
     for name, value in content.items():
         setattr(message, name, _build(_slot(type(message), name), value, name))
@@ -149,7 +149,7 @@ def _write(message: Any, steps: Sequence[Step], number: float, path: FieldPath) 
 
 
 def _append(items: list[Any], message: Any, slot: Any, selection: Selection) -> int:
-    """Make room for the element that a selection chooses; where it is."""
+    """Append the element of a selection and return its index."""
     if isinstance(slot.value_type, NamespacedType):
         items.append(_blank(slot.value_type))
         setattr(items[-1], selection.key, selection.text)
@@ -160,7 +160,7 @@ def _append(items: list[Any], message: Any, slot: Any, selection: Selection) -> 
 
 
 def _position(items: Sequence[Any], parent: Any, step: Step) -> int | None:
-    """Where the element is that a step chooses; None where there is none of that name."""
+    """Return the index of a step's element; None if no element has that name."""
     if isinstance(step, Element):
         return step.index
     assert isinstance(step, Selection)
@@ -172,7 +172,11 @@ def _position(items: Sequence[Any], parent: Any, step: Step) -> int | None:
 
 
 def _leaf(message_type: Any, path: FieldPath) -> Any:
-    """The type at the end of a path; FieldError where the path does not fit the type."""
+    """Return the type at the end of a path.
+
+    Raises:
+        FieldError: If the path does not fit the type.
+    """
     parent, slot = message_type, None
     for step in path.steps:
         if isinstance(step, Field):
@@ -183,7 +187,7 @@ def _leaf(message_type: Any, path: FieldPath) -> Any:
             slot = _slot(parent, step.name)
             continue
         if not isinstance(slot, AbstractNestedType):
-            raise FieldError(f"{path}: {_describe(slot)} is no array, and has no elements")
+            raise FieldError(f"{path}: {_describe(slot)} is not an array")
         if isinstance(step, Element) and isinstance(slot, Array) and step.index >= slot.size:
             raise FieldError(f"{path}: the array has {slot.size} elements, counted from 0")
         if isinstance(step, Selection):
@@ -199,7 +203,7 @@ def _check_selection(parent: Any, slot: Any, step: Selection, path: FieldPath) -
         array = _slot(parent, step.key)
         key = array.value_type if isinstance(array, AbstractNestedType) else None
     if not isinstance(key, AbstractString):
-        raise FieldError(f"{path}: '{step.key}' holds no texts to choose by")
+        raise FieldError(f"{path}: '{step.key}' is not an array of strings to select by")
 
 
 def _slot(message_type: Any, name: str) -> Any:
@@ -226,7 +230,7 @@ def _blank(slot: Any) -> Any:
 
 
 def _encode(slot: Any, number: float, path: FieldPath | str) -> Any:
-    """A number as a field of this type takes it; whole numbers are rounded."""
+    """Return a number in the type of a field; numbers for integers are rounded."""
     if not _is_number(slot):
         raise FieldError(f"{path} is {_describe(slot)}, not a number")
     if not math.isfinite(number):
@@ -246,7 +250,7 @@ def _encode(slot: Any, number: float, path: FieldPath | str) -> Any:
 
 
 def _build(slot: Any, value: Any, where: str) -> Any:
-    """A value of a file as a field of this type takes it."""
+    """Return a value of a file in the type of a field."""
     if isinstance(slot, NamespacedType) and isinstance(value, Mapping):
         message = _class(slot)()
         fill(message, value)

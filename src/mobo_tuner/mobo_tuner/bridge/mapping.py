@@ -1,4 +1,4 @@
-"""The mapping file of the bridge: which topic, service or action stands for what."""
+"""The mapping file of the bridge: topics, services and actions of variables and diagnostics."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class Target:
     """A topic, service or action.
 
     Attributes:
-        kind: ``topic``, ``service`` or ``action``.
-        name: of the ROS graph.
-        type_name: e.g. ``std_msgs/msg/Float64``.
+        kind: Kind, ``topic``, ``service`` or ``action``.
+        name: Name in the ROS graph.
+        type_name: Name of its type, e.g. ``std_msgs/msg/Float64``.
     """
 
     kind: str
@@ -46,19 +46,19 @@ class Endpoint:
     """One value at a target.
 
     Attributes:
-        where: the endpoint is in the file, for messages.
-        target: that carries the value.
-        field: of the message, response or result (of the message, request or goal for a set-point);
-            None where there is no value, only an act.
-        message: other fields to send, as the file gives them.
-        success: field of the response or result that must be true; None = not looked at.
-        stamp: field that holds the time of the value; None = it is as old as the message here.
-        scale: a value is ``scale * raw + offset``.
-        offset: as above, in the value's unit.
-        stale_after: age beyond which a value does not count [s].
-        timeout: for an answer [s].
-        period: between two calls of a service that is read all the time [s].
-        qos: one of QOS.
+        where: Place in the file, for messages.
+        target: Topic, service or action that carries the value.
+        field: Field of the message, response or result (of the message, request or goal for a
+            set-point); None if there is no value.
+        message: Other fields to send, as in the file.
+        success: Field of the response or result that must be true; None = none.
+        stamp: Field with the time of the value; None = the time when the message arrived.
+        scale: Factor in ``value = scale * raw + offset``.
+        offset: Offset in this formula [unit of the value].
+        stale_after: Age after which a value is ignored [s].
+        timeout: Longest time to a response [s].
+        period: Time between two calls of a service that is read continuously [s].
+        qos: Quality of service, a key of QOS.
     """
 
     where: str
@@ -75,7 +75,7 @@ class Endpoint:
     qos: str = "reliable"
 
     def value(self, raw: object) -> float:
-        """What a raw number, truth value or numeric text stands for; NaN where it is none."""
+        """Return the value of a raw number, boolean or numeric string; NaN if it is none of these."""
         try:
             number = float(raw)  # type: ignore[arg-type]
         except (TypeError, ValueError, OverflowError):
@@ -83,19 +83,19 @@ class Endpoint:
         return self.scale * number + self.offset
 
     def raw(self, value: float) -> float:
-        """The raw number that stands for a value."""
+        """Return the raw number of a value."""
         return (value - self.offset) / self.scale
 
 
 @dataclass(frozen=True)
 class Condition:
-    """A condition on a value: it equals something, or lies within limits.
+    """A condition on a value: equality, or limits.
 
     Attributes:
-        endpoint: of the value.
-        equals: what the value must be; None where the limits count.
-        minimum: least value.
-        maximum: greatest value.
+        endpoint: Endpoint of the value.
+        equals: Required value; None if the limits apply.
+        minimum: Least value allowed.
+        maximum: Greatest value allowed.
     """
 
     endpoint: Endpoint
@@ -104,7 +104,7 @@ class Condition:
     maximum: float
 
     def holds(self, raw: object) -> bool:
-        """Whether a raw value meets the condition."""
+        """Return whether a raw value meets the condition."""
         if self.equals is not None:
             return bool(raw == self.equals)
         return self.minimum <= self.endpoint.value(raw) <= self.maximum
@@ -116,8 +116,8 @@ class Variable(RampedVariable):
 
     Attributes:
         setpoint: Endpoint that takes set-points.
-        readback: Endpoint that gives the readback.
-        settled: Condition that must hold as well once the variable is settled; None for none.
+        readback: Endpoint of the readback.
+        settled: Additional condition of a settled variable; None = none.
     """
 
     setpoint: Endpoint
@@ -127,15 +127,15 @@ class Variable(RampedVariable):
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """How one diagnostic is measured.
+    """The measurement of one diagnostic.
 
     Attributes:
-        name: of the diagnostic.
-        unit: of its value.
-        read: where shots come from: the messages of a topic, or one call each.
-        count: shots to average; 0 where the time counts.
-        seconds: to average over [s]; 0 where the count does.
-        outliers: that are left out of the average.
+        name: Name of the diagnostic.
+        unit: Unit of its value.
+        read: Endpoint of its shots: the messages of a topic, or one call each.
+        count: Number of shots to average; 0 if `seconds` applies.
+        seconds: Duration of the average [s]; 0 if `count` applies.
+        outliers: Rule for shots that are omitted from the average.
     """
 
     name: str
@@ -148,21 +148,21 @@ class Diagnostic:
 
 @dataclass(frozen=True)
 class MachineMapping:
-    """A machine, as a mapping file describes it.
+    """A machine, as described by a mapping file.
 
     Attributes:
-        file: the mapping came from, for messages.
-        name: of the machine, for people.
-        variables: by name.
-        diagnostics: by name.
-        interlocks: conditions without which nothing moves, by name.
-        fire: what fires each shot; None = shots come by themselves.
-        shots: of an evaluation that asks for no number of its own.
-        rate: of the steps of a move [Hz].
-        settle_time: for which all must stay settled before a measurement counts [s].
-        settle_timeout: from the last step of a move until then [s].
-        follow_moved: whether a move may start at the readback of a variable that is not where it
-            was set; else it is refused.
+        file: Name of the mapping file, for messages.
+        name: Name of the machine, for people.
+        variables: Variables by name.
+        diagnostics: Diagnostics by name.
+        interlocks: Conditions that must hold for a move, by name.
+        fire: Endpoint that fires each shot; None = shots are published without a trigger.
+        shots: Number of shots of an evaluation whose goal gives none.
+        rate: Rate of the steps of a move [Hz].
+        settle_time: Uninterrupted time in which all variables must be settled before a measurement [s].
+        settle_timeout: Longest time from the last step of a move to the end of `settle_time` [s].
+        follow_moved: Whether a move may start at the readback of a variable that is not at its
+            set-point; otherwise it is refused.
     """
 
     file: str
@@ -182,16 +182,16 @@ def load_mapping(path: str | Path) -> MachineMapping:
     """Read a mapping file.
 
     Raises:
-        ValueError: it cannot be read, or something in it is unknown, missing or not allowed.
+        ValueError: If it cannot be read, or a key is unknown, missing or not allowed.
     """
     return parse_mapping(load_yaml(path), Path(path).name)
 
 
 def parse_mapping(content: object, file: str) -> MachineMapping:
-    """A mapping from the content of a file.
+    """Return the mapping of a file's content.
 
     Raises:
-        MappingError: something in it is unknown, missing or not allowed.
+        MappingError: If a key is unknown, missing or not allowed.
     """
     root = Section(f"{file}: ", content)
     move = root.section("move", needed=False)
@@ -290,10 +290,10 @@ def _endpoint(section: Section, kinds: tuple[str, ...], use: str) -> Endpoint:
     """Read an endpoint.
 
     Args:
-        section: of the file.
-        kinds: of targets that are allowed.
-        use: ``send`` a value; ``watch`` one all the time; ``read`` one when it is wanted; ``act``
-            without a value.
+        section: Section of the file.
+        kinds: Kinds of targets that are allowed.
+        use: Use of the endpoint: ``send`` a value, ``watch`` it continuously, ``read`` it on demand,
+            or ``act`` without a value.
     """
     kind = section.one_of(*kinds)
     name = section.text(kind)

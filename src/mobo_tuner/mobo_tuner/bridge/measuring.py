@@ -1,4 +1,4 @@
-"""How the diagnostics of a mapping are measured: fired or not, from messages or by calls."""
+"""Measurement of the diagnostics of a mapping, by messages or calls, with or without a trigger."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from mobo_tuner.machine.backend import MEASURING, Failure, Measurement, Operatio
 from mobo_tuner.ros.conversions import seconds
 
 Wait = Callable[[Operation, Future | None, float], Awaitable[bool]]
-"""Waits for a future, at most so many seconds; an interrupt of the operation ends it early."""
+"""Waits for a future with a timeout [s]; an interrupt of the operation ends the wait."""
 
 _Result = EvaluateSetpoint.Result
 
@@ -32,14 +32,14 @@ class Measuring:
     """Measures the diagnostics of one machine, all at the same time.
 
     Args:
-        node: that talks to the machine.
-        mapping: of the machine.
-        signals: of the node.
-        executor: on which the coroutines run.
-        wait: how a coroutine waits.
+        node: Node that communicates with the machine.
+        mapping: Mapping of the machine.
+        signals: Signals of the node.
+        executor: Executor that runs the coroutines.
+        wait: Function by which a coroutine waits.
 
     Raises:
-        MappingError: the mapping does not fit the installed types.
+        MappingError: If the mapping does not fit the installed types.
     """
 
     def __init__(
@@ -66,16 +66,16 @@ class Measuring:
         self._fire = None if mapping.fire is None else _Fire(node, mapping.fire)
 
     def problems(self) -> list[str]:
-        """What is not there that must be called, in a few words each."""
+        """Return the services and actions that are missing, in a few words each."""
         targets = [(c.ready, self._mapping.diagnostics[n].read) for n, c in self._calls.items()]
         if self._fire is not None:
             targets.append((self._fire.ready, self._fire.endpoint))
         return [f"the {endpoint.target} is not there" for ready, endpoint in targets if not ready]
 
     async def measure(self, shots: int, operation: Operation) -> Measurement:
-        """Measure; `shots` = 0 means as many as the mapping says.
+        """Measure; `shots` = 0 uses the mapping's number.
 
-        Every shot is shown to the operation. When it is interrupted, what was measured is returned.
+        The operation sees every shot. If it is interrupted, the shots so far are returned.
         """
         operation.progress(MEASURING, 0.0)
         self._forget_the_past()
@@ -112,18 +112,18 @@ class Measuring:
         return Measurement(diagnostics=diagnostics, shots=count, failure=failure)
 
     def _forget_the_past(self) -> None:
-        """What bears a stamp from before now does not count."""
+        """Ignore messages with stamps before now."""
         for signal in self._signals.values():
             signal.not_before = seconds(self._clock.now().to_msg())
 
     async def _fire_and_collect(
         self, collectors: list[_Collector], shots: int, operation: Operation
     ) -> Failure | None:
-        """Fire shot after shot, and wait for all diagnostics of each."""
+        """Fire the shots one by one, and wait for all diagnostics of each."""
         assert self._fire is not None
         rounds = shots or self._mapping.shots
         for number in range(1, rounds + 1):
-            # Listening first: a shot may be there before the answer that it was fired.
+            # Listen first: a shot may arrive before the response of the trigger.
             for collector in collectors:
                 collector.want(number)
             self._forget_the_past()
@@ -138,7 +138,7 @@ class Measuring:
         return None
 
     async def _collect(self, collectors: list[_Collector], operation: Operation) -> Failure | None:
-        """Wait until all collectors have what they want; why one of them has not."""
+        """Wait until all collectors are complete; return the failure of one that is not."""
         tasks = [
             self._executor.create_task(self._call, collector, operation)
             if collector.diagnostic.name in self._calls
@@ -147,7 +147,7 @@ class Measuring:
         ]
         failures = []
         for task in tasks:
-            # Each of them ends by itself: by its time limit, or when the operation is interrupted.
+            # Each ends by its time limit, or when the operation is interrupted.
             failures.append(await task)
             if self._fire is None:
                 part = min(collector.fraction for collector in collectors)
@@ -155,7 +155,7 @@ class Measuring:
         return next((failure for failure in failures if failure is not None), None)
 
     async def _listen(self, collector: _Collector, operation: Operation) -> Failure | None:
-        """Wait for the messages that a collector wants."""
+        """Wait for the messages of a collector."""
         read = collector.diagnostic.read
         collector.start()
         while not collector.complete and not operation.interrupt.done():
@@ -172,7 +172,7 @@ class Measuring:
         return None
 
     async def _call(self, collector: _Collector, operation: Operation) -> Failure | None:
-        """Call until a collector has what it wants."""
+        """Call until a collector is complete."""
         call = self._calls[collector.diagnostic.name]
         collector.start()
         while not collector.complete and not operation.interrupt.done():
@@ -185,7 +185,7 @@ class Measuring:
 
 
 class _Collector:
-    """The shots of one diagnostic: so many, or those of some seconds."""
+    """The shots of one diagnostic: a number of shots, or those within a time."""
 
     def __init__(
         self, diagnostic: Diagnostic, signal: Signal, shots: int, operation: Operation
@@ -193,8 +193,10 @@ class _Collector:
         self.diagnostic = diagnostic
         self.signal = signal
         self.shots: list[float] = []
-        self.heard = time.monotonic()  # when the last one came
-        self.advanced: Future = Future(executor=operation.executor)  # done when the next one comes
+        self.heard = time.monotonic()  # arrival of the last shot
+        self.advanced: Future = Future(
+            executor=operation.executor
+        )  # done when the next shot arrives
         self._operation = operation
         self._count = shots or diagnostic.count
         self._started = self.heard
@@ -203,14 +205,14 @@ class _Collector:
 
     @property
     def complete(self) -> bool:
-        """Whether there is what is wanted."""
+        """Whether all shots have arrived."""
         if self._count == 0:
             return self.remaining <= 0.0 and len(self.shots) > 0
         return len(self.shots) >= self._wanted
 
     @property
     def remaining(self) -> float:
-        """Time that is still to be averaged over [s]; infinite where shots count."""
+        """Remaining time of the average [s]; infinite if a number of shots is averaged."""
         if self._count > 0:
             return math.inf
         left = self._started + self.diagnostic.seconds - time.monotonic()
@@ -219,21 +221,21 @@ class _Collector:
 
     @property
     def fraction(self) -> float:
-        """How much there is of what is wanted."""
+        """Completed fraction of the shots or of the time."""
         if self._count == 0:
             return 1.0 - max(0.0, self.remaining) / self.diagnostic.seconds
         return len(self.shots) / self._count
 
     def want(self, count: int) -> None:
-        """Want so many shots in all, and none before that is said."""
+        """Set the total number of shots to wait for."""
         self._wanted = count
 
     def start(self) -> None:
-        """Time counts from now on."""
+        """Start the time of the average."""
         self._started = self.heard = time.monotonic()
 
     def take(self, value: float) -> None:
-        """A shot came; NaN where it has no value."""
+        """Take a shot; NaN if it has no value."""
         if self.complete or self._operation.interrupt.done():
             return
         self.shots.append(value)
@@ -243,12 +245,12 @@ class _Collector:
         advanced.set_result(None)
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop listening."""
         self.signal.listeners.remove(self.take)
 
 
 class _Fire:
-    """What fires a shot: a message, or a call."""
+    """The trigger of a shot: a message or a call."""
 
     def __init__(self, node: Node, endpoint: Endpoint) -> None:
         self.endpoint = endpoint
@@ -266,7 +268,7 @@ class _Fire:
 
     @property
     def ready(self) -> bool:
-        """Whether somebody would fire."""
+        """Whether the trigger has a receiver."""
         if self._call is not None:
             return self._call.ready
         return bool(self._publisher.get_subscription_count() > 0)
@@ -275,7 +277,7 @@ class _Fire:
         """Fire one shot.
 
         Raises:
-            CallError: it was not fired.
+            CallError: If it was not fired.
         """
         if self._call is not None:
             await self._call(wait)

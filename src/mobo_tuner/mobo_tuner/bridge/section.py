@@ -1,4 +1,4 @@
-"""Reading a file's mappings key by key; every mistake names the file, the key, the value and what is allowed."""
+"""Reading of a file's mappings key by key; errors name the file, key, value and what is allowed."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 
 from mobo_tuner.errors import UserError
 
-MAX_SHOWN = 60  # characters of a value that a message repeats
+MAX_SHOWN = 60  # characters of a value in an error message
 _TOO_LARGE = 1e300
-_REPR = reprlib.Repr()  # limited in depth, too: a small file can hold a huge tree by aliases
+_REPR = reprlib.Repr()  # also limited in depth: aliases make huge trees from small files
 _REPR.maxstring = _REPR.maxother = _REPR.maxlong = MAX_SHOWN
 _REPR.maxlevel = 2
 
@@ -24,11 +24,11 @@ class Section:
     """One mapping of a file.
 
     Args:
-        where: names it in messages, e.g. ``bridge.yaml: variables.K1``.
-        content: of the file, there.
+        where: Name of the section in messages, e.g. ``bridge.yaml: variables.K1``.
+        content: Content of the file at that place.
 
     Raises:
-        MappingError: the content is not a mapping whose keys are texts.
+        MappingError: If the content is not a mapping with strings as keys.
     """
 
     def __init__(self, where: str, content: object) -> None:
@@ -43,20 +43,20 @@ class Section:
 
     @property
     def content(self) -> Mapping[str, Any]:
-        """The mapping as it is."""
+        """The unchecked mapping."""
         return self._content
 
     def path(self, key: str) -> str:
-        """How a key of this section is named in messages."""
+        """Return the name of a key of this section in messages."""
         shown_key = key if key.isprintable() and len(key) <= MAX_SHOWN else shown(key)
         return f"{self.where}{'' if self.where.endswith(': ') else '.'}{shown_key}"
 
     def error(self, key: str, allowed: str) -> MappingError:
-        """The error of a key whose value is not allowed."""
+        """Return the error for a key whose value is not allowed."""
         return MappingError(f"{self.path(key)} is {shown(self._content.get(key))}; {allowed}")
 
     def get(self, key: str, default: Any = None) -> Any:
-        """The value as it is."""
+        """Return the unchecked value."""
         self._asked.append(key)
         return self._content.get(key, default)
 
@@ -70,7 +70,7 @@ class Section:
         maximum: float = math.inf,
         finite: bool = True,
     ) -> float:
-        """A number; needed where there is no default."""
+        """Return a number, which is required if there is no default."""
         value = self._needed(key, default)
         number = float(value) if _is_number(value) else math.nan
         if not (minimum <= number <= maximum and (number > above or above == -math.inf)) or (
@@ -80,31 +80,31 @@ class Section:
         return number
 
     def whole(self, key: str, default: int | None = None, *, minimum: int, maximum: int) -> int:
-        """An integer; needed where there is no default."""
+        """Return an integer, which is required if there is no default."""
         value = self._needed(key, default)
         if not isinstance(value, int) or isinstance(value, bool) or not minimum <= value <= maximum:
             raise self.error(key, f"it must be an integer from {minimum} to {maximum}")
         return value
 
     def text(self, key: str, default: str | None = None) -> str:
-        """A text that is not empty, unless the default is; needed where there is no default."""
+        """Return a string, which must not be empty unless the default is; required without a default."""
         value = self._needed(key, default)
         if not isinstance(value, str) or (not value and default != ""):
             raise self.error(key, "it must be a text")
         return value
 
     def choice(self, key: str, default: str, choices: tuple[str, ...]) -> str:
-        """One of some texts."""
+        """Return one of several strings."""
         value = self.get(key, default)
         if value not in choices:
             raise self.error(key, f"it must be one of {', '.join(choices)}")
         return str(value)
 
     def one_of(self, *keys: str) -> str:
-        """Which one of these keys is there.
+        """Return the only one of these keys that exists.
 
         Raises:
-            MappingError: none is, or more than one.
+            MappingError: If none exists, or more than one.
         """
         present = [key for key in keys if key in self._content]
         if len(present) != 1:
@@ -115,18 +115,18 @@ class Section:
         return present[0]
 
     def section(self, key: str, *, needed: bool = True) -> Section:
-        """The mapping under a key; an empty one where it is missing and not needed."""
+        """Return the section of a key; an empty one if it is missing and not needed."""
         return Section(self.path(key), self._needed(key, None if needed else {}))
 
     def sections(self, key: str, *, needed: bool = True) -> dict[str, Section]:
-        """Mappings by name; at least one where needed."""
+        """Return the sections by name, at least one if needed."""
         outer = self.section(key, needed=needed)
         if needed and not outer._content:
             raise self.error(key, "it must have at least one entry")
         return {name: outer.section(name) for name in outer._content}
 
     def finish(self) -> None:
-        """Refuse the keys that nobody asked for: they would be ignored in silence."""
+        """Reject keys that were not read, because they would be ignored silently."""
         for key in self._content:
             if key not in self._asked:
                 allowed = ", ".join(dict.fromkeys(self._asked))
@@ -140,14 +140,14 @@ class Section:
 
 
 def shown(value: object) -> str:
-    """A value as messages repeat it: in one line, and not too long."""
+    """Return a value as it is shown in messages: in one line of limited length."""
     text = _REPR.repr(value)
     return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
 
 
 def _is_number(value: object) -> bool:
     if isinstance(value, int) and not isinstance(value, bool):
-        return abs(value) < _TOO_LARGE  # YAML's whole numbers have no limit, floats do
+        return abs(value) < _TOO_LARGE  # YAML's integers have no limit, floats do
     return isinstance(value, float)
 
 

@@ -1,4 +1,4 @@
-"""Where set-points go: variables that share a topic, service or action are sent in one message."""
+"""Outputs of set-points: variables that share a topic, service or action are sent in one message."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class SetpointOutput:
     """The set-points of the variables that share one target.
 
     Args:
-        node: that sends.
-        variables: that share the target; at least one.
+        node: Node that sends.
+        variables: Variables that share the target, at least one.
 
     Raises:
-        MappingError: they do not fit the target's type, or each other.
+        MappingError: If they do not fit the target's type or each other.
     """
 
     def __init__(self, node: Node, variables: Sequence[Variable]) -> None:
@@ -53,7 +53,7 @@ class SetpointOutput:
 
     @property
     def problem(self) -> str:
-        """Why set-points would not arrive, in a few words; empty where they would."""
+        """Reason why set-points would not arrive, in a few words; empty if they would."""
         if self._call is not None:
             return "" if self._call.ready else f"the {self._endpoint.target} is not there"
         if self._publisher.get_subscription_count() > 0:
@@ -61,10 +61,10 @@ class SetpointOutput:
         return f"nobody listens to the {self._endpoint.target}"
 
     async def send(self, setpoint: Mapping[str, float], wait: Wait) -> None:
-        """Send a set-point, and wait until a service or an action has it.
+        """Send a set-point, and wait for the response of a service or an action.
 
         Raises:
-            CallError: it did not take it.
+            CallError: If it was not accepted.
         """
         if self._call is None:
             self._publisher.publish(self._message(setpoint))
@@ -72,7 +72,7 @@ class SetpointOutput:
             await self._call(wait, self._numbers(setpoint))
 
     def send_now(self, setpoint: Mapping[str, float]) -> None:
-        """Send a set-point at once, and wait for nothing."""
+        """Send a set-point without waiting."""
         if self._call is None:
             self._publisher.publish(self._message(setpoint))
         else:
@@ -80,7 +80,7 @@ class SetpointOutput:
             self._call.send(self._numbers(setpoint))
 
     def cancel(self) -> None:
-        """Tell an action that is under way to stop."""
+        """Cancel a running action."""
         if self._call is not None:
             self._call.cancel()
 
@@ -99,7 +99,7 @@ class SetpointOutput:
         return {_path(v.setpoint): v.setpoint.raw(setpoint[v.name]) for v in self._variables}
 
     def _check_agreement(self) -> None:
-        """One message cannot be sent in two ways, nor carry two numbers in one field."""
+        """Check that the variables agree on how the message is sent, and use different fields."""
         first = self._endpoint
         seen: dict[FieldPath, str] = {}
         for variable in self._variables:
@@ -118,7 +118,7 @@ class SetpointOutput:
             seen[path] = variable.name
 
     def _check_values(self) -> None:
-        """Every set-point within the limits must fit its field, and no array may have gaps."""
+        """Check that all set-points within the limits fit their fields, and that arrays have no gaps."""
         message = self._type()
         fill(message, self._endpoint.message)
         mapped: dict[FieldPath, set[int]] = {}
@@ -141,10 +141,10 @@ class SetpointOutput:
 
 
 def group_outputs(node: Node, variables: Iterable[Variable]) -> list[SetpointOutput]:
-    """One output for each target of some variables.
+    """Return one output per target of the variables.
 
     Raises:
-        MappingError: they do not fit the target's type, or each other.
+        MappingError: If they do not fit the target's type or each other.
     """
     groups: dict[Target, list[Variable]] = {}
     for variable in variables:
@@ -158,7 +158,7 @@ def _path(endpoint: Endpoint) -> FieldPath:
 
 
 def _length(content: object, array: FieldPath) -> int:
-    """How many elements a file gives of an array."""
+    """Return the number of an array's elements that a file gives."""
     for step in array.steps:
         if not isinstance(step, Field) or not isinstance(content, Mapping):
             return 0

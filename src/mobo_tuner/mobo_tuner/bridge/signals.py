@@ -1,4 +1,4 @@
-"""Values that come from topics, or from services that are asked again and again."""
+"""Values from topics, or from services that are polled."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ _QOS = {
 
 
 class Signal:
-    """The latest value of one endpoint, and whoever listens to its values.
+    """The latest value of one endpoint, and its listeners.
 
     A message whose stamp is older than `stale_after` or `not_before`, or not newer than that of the
-    message before, is dropped. A value that is not there or not finite counts as NaN: listeners hear
-    of it, but it does not replace the latest.
+    previous message, is ignored. A missing or non-finite value counts as NaN: listeners receive it, but
+    it does not replace the latest value.
 
     Args:
-        clock: of the stamps.
-        endpoint: of the value.
-        convert: makes a value of what stands in the message.
+        clock: Clock of the stamps.
+        endpoint: Endpoint of the value.
+        convert: Function that converts the content of the field to a value.
     """
 
     def __init__(
@@ -44,17 +44,17 @@ class Signal:
     ) -> None:
         self.endpoint = endpoint
         self.latest = math.nan
-        self.not_before = -math.inf  # stamps earlier than this do not count [s]
+        self.not_before = -math.inf  # earlier stamps are ignored [s]
         self.listeners: list[Callable[[float], None]] = []
         self.count_publishers: Callable[[], int] = lambda: 1  # of the topic
         self._clock = clock
         self._convert = convert
-        self._heard = -math.inf  # when the latest value came, time.monotonic()
+        self._heard = -math.inf  # arrival of the latest value, time.monotonic()
         self._stamp = -math.inf  # of the last message [s]
         self._fault = ""
 
     def accept(self, message: Any) -> None:
-        """A message came."""
+        """Take a message."""
         if self.endpoint.stamp is not None and not self._is_new(message):
             return
         value = self.value_of(message)
@@ -64,7 +64,7 @@ class Signal:
             listener(value)
 
     def value_of(self, message: Any) -> float:
-        """The value in a message; NaN where it has none."""
+        """Return the value in a message; NaN if it has none."""
         assert self.endpoint.field is not None
         try:
             value = self._convert(read(message, self.endpoint.field))
@@ -76,15 +76,15 @@ class Signal:
         return value if math.isfinite(value) else math.nan
 
     def fail(self, reason: str) -> None:
-        """No message came, for this reason."""
+        """Note the reason why no message arrived."""
         self._fault = reason
 
     @property
     def problem(self) -> str:
-        """Why the latest value does not count, in a few words; empty where it does."""
+        """Reason why the latest value is invalid, in a few words; empty if it is valid."""
         if not math.isfinite(self._heard):
             return f"the {self.endpoint.target} gave no value yet" + self.because
-        # What is published only when it changes never gets old, but its publisher may be gone.
+        # A value that is only published on change never gets old, but its publisher may be gone.
         if math.isinf(self.endpoint.stale_after) and self.count_publishers() == 0:
             return f"the {self.endpoint.target} has no publisher"
         age = time.monotonic() - self._heard
@@ -94,7 +94,7 @@ class Signal:
 
     @property
     def because(self) -> str:
-        """What was wrong with the last message, in brackets; empty where nothing was."""
+        """Fault of the last message, in brackets; empty if there was none."""
         return f" ({self._fault})" if self._fault else ""
 
     def _is_new(self, message: Any) -> bool:
@@ -129,18 +129,18 @@ class Signals:
         self._subscriptions: dict[tuple[Target, str], tuple[Any, list[Signal]]] = {}
 
     def number(self, endpoint: Endpoint) -> Signal:
-        """The signal of a number.
+        """Return the signal of a number.
 
         Raises:
-            MappingError: the endpoint does not fit the installed types.
+            MappingError: If the endpoint does not fit the installed types.
         """
         return self._add(endpoint, endpoint.value)
 
     def condition(self, condition: Condition) -> Signal:
-        """The signal of a condition: 1 where it holds, 0 where not.
+        """Return the signal of a condition: 1 if it holds, else 0.
 
         Raises:
-            MappingError: the endpoint does not fit the installed types.
+            MappingError: If the endpoint does not fit the installed types.
         """
         return self._add(condition.endpoint, lambda raw: float(condition.holds(raw)))
 
@@ -184,7 +184,7 @@ class Signals:
             return await first_of(self._node, future, timeout=timeout) is not None
 
         def tick() -> None:
-            # As a task: a timer whose callback waits would keep the node's other callbacks waiting.
+            # As a task, because a timer's callback that waits would block the node's other callbacks.
             nonlocal asking
             if not asking and self._node.executor is not None:
                 asking = True
@@ -203,7 +203,11 @@ class Signals:
 
 
 def check_fields(endpoint: Endpoint, message_type: Any) -> None:
-    """Check that the endpoint's value and stamp are in its messages; MappingError if not."""
+    """Check that an endpoint's messages have its value and stamp.
+
+    Raises:
+        MappingError: If they do not.
+    """
     field, stamp = endpoint.field, endpoint.stamp
     if field is not None:
         check(endpoint, "field", lambda: check_readable(message_type, field))

@@ -1,4 +1,4 @@
-"""The way to one tuner: its services, actions and topics, used by threads that may block."""
+"""Connection to one tuner: its services, actions and topics, for threads that may block."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from mobo_tuner.client.values import ErrorCode, TunerError
 from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.executor_thread import ExecutorThread
 
-SILENCE_TIMEOUT = 5.0  # [s] without a status, which comes at 1 Hz, after which the tuner is lost
-RESTART_TIMEOUT = 2.0  # [s] without a status, after which it may be another tuner that speaks
-PROBE_TIMEOUT = 1.0  # [s] for an answer to what is asked to find out whether answers come
-CLOSE_TIMEOUT = 5.0  # [s] for what is canceled at the end
+SILENCE_TIMEOUT = 5.0  # [s] without a status, which is published at 1 Hz, until the tuner is lost
+RESTART_TIMEOUT = 2.0  # [s] without a status, after which the tuner may have been restarted
+PROBE_TIMEOUT = 1.0  # [s] for the response to a probe
+CLOSE_TIMEOUT = 5.0  # [s] for the goals that are canceled at the end
 POLL_PERIOD = 0.05  # [s]
 
 SERVICES: Mapping[str, type] = {
@@ -45,18 +45,18 @@ ACTIONS: Mapping[str, type] = {
 RUN_TOPICS = (interfaces.PROBLEM, interfaces.PARETO_FRONT, interfaces.EVALUATION)
 
 Inbox = queue.SimpleQueue[Callable[[], object] | None]
-"""What a waiting thread is to call; None only wakes it."""
+"""Calls for a waiting thread; None only wakes it."""
 
 
 class Listener(Protocol):
-    """Takes the messages of the tuner's topics, on the executor's thread."""
+    """Receiver of the messages of the tuner's topics, on the executor's thread."""
 
     def take(self, topic: str, message: Any) -> None:
         """Take a message."""
 
 
 class Connection:
-    """The way to one tuner.
+    """Connection to one tuner.
 
     Args:
         namespace: Namespace of the tuner, relative to that of the node.
@@ -98,10 +98,8 @@ class Connection:
             raise ValueError("the node is on no executor: add it to one, or name the executor")
         self.status = msg.TunerStatus()
         self._node = node
-        self._heard: float | None = None  # when the tuner spoke last, by `time.monotonic` [s]
-        self._met = (
-            False  # whether the tuner is known to get this client's questions and answer them
-        )
+        self._heard: float | None = None  # time of the last status, by `time.monotonic` [s]
+        self._met = False  # whether the tuner has answered a probe
         self._services: dict[str, Any] = {}
         self._actions: dict[str, ActionClient] = {}
         self._subscriptions: dict[str, Any] = {}
@@ -112,19 +110,19 @@ class Connection:
         self._made = self._executor.post(self._make)
 
     def connect(self, timeout: float | None = None) -> None:
-        """Wait until the tuner is there and knows this client.
+        """Wait until the tuner exists and has discovered this client.
 
         Args:
             timeout: Longest wait [s]; None for that of the connection.
 
         Raises:
-            TunerError: If no tuner is heard, or the wait is canceled.
+            TunerError: If no tuner is found, or the wait is canceled.
         """
         with self._pursuit() as pursuit:
             self._connect(pursuit, timeout)
 
     def close(self) -> None:
-        """Cancel what is going on for this client, and release everything."""
+        """Cancel the goals of this client, and release everything."""
         if self._closed:
             return
         self.cancel()
@@ -148,7 +146,7 @@ class Connection:
             timeout: Longest wait for the answer [s]; None for that of the connection.
 
         Raises:
-            TunerError: If the tuner is not there or does not answer.
+            TunerError: If there is no tuner, or it does not answer.
         """
         with self._pursuit() as pursuit:
             self._connect(pursuit)
@@ -158,18 +156,18 @@ class Connection:
         return self._wait(answer, name, self._timeout if timeout is None else timeout)
 
     def pursue(self, name: str, goal: Any, inbox: Inbox, on_feedback: Callable[[Any], None]) -> Any:
-        """Send a goal and return its result; meanwhile, call what is in the inbox.
+        """Send a goal and return its result; meanwhile, make the calls in the inbox.
 
-        An error in what is called, Ctrl-C included, cancels the goal and is raised once it ended.
+        An error in a call, including Ctrl-C, cancels the goal and is raised after its end.
 
         Args:
             name: Name of the action.
             goal: Goal of its type.
-            inbox: Calls to be made on this thread.
-            on_feedback: Gets the feedback, on the executor's thread.
+            inbox: Calls to make on this thread.
+            on_feedback: Function that receives the feedback, on the executor's thread.
 
         Raises:
-            TunerError: If the tuner is not there, refuses the goal, or falls silent.
+            TunerError: If there is no tuner, it refuses the goal, or it falls silent.
         """
         finished: Future[Any] | None = None
         with self._pursuit() as pursuit:
@@ -197,13 +195,13 @@ class Connection:
                 raise
 
     def cancel(self) -> None:
-        """Ask to cancel every goal that is pursued and every wait for the tuner, without waiting."""
+        """Cancel all goals and all waits for the tuner, without waiting."""
         for pursuit in list(self._pursuits):
             pursuit.cancel()
 
     @contextlib.contextmanager
     def listening(self, listener: Listener) -> Iterator[None]:
-        """Hand a listener the messages of all topics."""
+        """Pass the messages of all topics to a listener."""
         self.connect()
         self._executor.call(self._subscribe_to_runs)
         self._listeners.append(listener)
@@ -213,7 +211,7 @@ class Connection:
             self._listeners.remove(listener)
 
     def serve(self, inbox: Inbox) -> None:
-        """Make the next call in the inbox, if there is one soon.
+        """Make the next call in the inbox, if one arrives soon.
 
         Raises:
             TunerError: If the tuner has fallen silent.
@@ -227,7 +225,7 @@ class Connection:
     # ------------------------------------------------------------------ on the executor's thread
 
     def _make(self) -> None:
-        """Make all clients, and last the one by which the tuner is met."""
+        """Create all clients, and last the one that probes the tuner."""
         for name, kind in SERVICES.items():
             self._services[name] = self._node.create_client(kind, self._name(name))
         for name, kind in ACTIONS.items():
@@ -269,11 +267,11 @@ class Connection:
         return self._heard is None or time.monotonic() - self._heard > SILENCE_TIMEOUT
 
     def _meet(self, timeout: float, pursuit: _Pursuit) -> None:
-        """Ask the tuner what does no harm until it answers.
+        """Probe the tuner until it answers.
 
-        Questions and answers are lost between nodes that have not discovered each other, and also
-        while a tuner that was killed still seems to be there. Nodes discover the endpoints of each
-        other in the order in which they were made: a tuner that answers the last one knows all.
+        Requests and responses are lost between nodes that have not discovered each other, and also while
+        a killed tuner still seems to exist. Nodes discover each other's endpoints in the order of their
+        creation: a tuner that answers the last one has discovered all.
         """
         client = self._services[PROBE]
         nobodys = CancelGoal.Request()
@@ -355,7 +353,7 @@ class Connection:
             time.sleep(POLL_PERIOD)
 
     def _wait(self, future: Future[Any], name: str, timeout: float) -> Any:
-        """Return the result of a future, for as long as the tuner lives."""
+        """Return the result of a future, as long as the tuner lives."""
         deadline = time.monotonic() + timeout
         while True:
             with contextlib.suppress(TimeoutError):
@@ -369,7 +367,7 @@ class Connection:
 
 
 class _Pursuit:
-    """A wait for the tuner, and the goal for which it is done, if any."""
+    """A wait for the tuner, and its goal, if there is one."""
 
     def __init__(self, executor: ExecutorThread) -> None:
         self.canceled = False
@@ -377,7 +375,7 @@ class _Pursuit:
         self._handle: Any = None
 
     def answered(self, answer: Future[Any]) -> None:
-        """Take note of the tuner's answer to the goal, even where nobody waits for it any more."""
+        """Take the tuner's response to the goal, even if it is no longer awaited."""
         if answer.exception() is None and answer.result().accepted:
             self._handle = answer.result()
             if self.canceled:

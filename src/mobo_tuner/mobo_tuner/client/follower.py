@@ -1,4 +1,4 @@
-"""What the topics say of one run, handed to callbacks on the thread that waits."""
+"""Messages of one run, passed to callbacks on the waiting thread."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ OnProblem = Callable[[Problem], object]
 
 
 class Follower:
-    """What the topics say of one run, as calls in the inbox of the thread that waits."""
+    """Messages of one run as calls in the inbox of the waiting thread."""
 
     def __init__(
         self,
@@ -46,11 +46,11 @@ class Follower:
         self._seen: set[int] = set()
 
     def lacks(self, evaluations: int) -> bool:
-        """Whether fewer evaluations came than there are, and somebody waits for them."""
+        """Return whether evaluations are missing that a callback waits for."""
         return self._callbacks["evaluation"][0] is not None and len(self._seen) < evaluations
 
     def take(self, topic: str, message: Any) -> None:
-        """Take a message; an evaluation comes on its topic and as feedback, and counts once."""
+        """Take a message; an evaluation arrives on its topic and as feedback, and counts once."""
         callback, convert = self._callbacks[topic]
         if callback is None or message.run_id != self._run_id:
             return

@@ -72,7 +72,7 @@ class TunerClient:
 
     Calls block until the tuner has answered, and raise `TunerError` with its own sentence where it
     refuses. They may come from any thread but the executor's. Callbacks run on the thread that waits
-    for them, so that they may call the client; an error in one cancels what was going on.
+    for them, so that they may call the client; an error in one cancels the active goal.
 
     Several clients can be used at a time, also of several tuners, in one program or in many. As a
     context manager a client cancels, at its end, the run or the move that it asked for.
@@ -126,18 +126,18 @@ class TunerClient:
         self.close()
 
     def connect(self, timeout: float | None = None) -> None:
-        """Wait until the tuner is there; every other call does so by itself.
+        """Wait until the tuner exists; every other call does so too.
 
         Args:
             timeout: Longest wait [s]; None for that of the client.
 
         Raises:
-            TunerError: If no tuner is heard.
+            TunerError: If no tuner is found.
         """
         self._connection.connect(timeout)
 
     def close(self) -> None:
-        """Cancel what this client asked for and is going on, and release everything."""
+        """Cancel the active goals of this client, and release everything."""
         atexit.unregister(self.close)
         self._connection.close()
 
@@ -157,21 +157,21 @@ class TunerClient:
     ) -> RunResult:
         """Tune the machine, and wait until the run has ended.
 
-        A run that is canceled or breaks off has a result, too, with its error in it. Ctrl-C and an
-        error in a callback cancel the run and are raised once it has ended.
+        A run that is canceled or fails also has a result, which contains the error. Ctrl-C and an error
+        in a callback cancel the run and are raised after its end.
 
         Args:
-            evaluations: Budget; 0 for that of the earlier run or of the tuner's parameter.
-            hypervolume_goal: Hypervolume at which to stop; 0 for none.
-            run_id: Name of the run; empty for one made of the time.
-            resume_from: Id of an earlier run whose evaluations this one begins with.
-            on_evaluation: Gets every evaluation once, those of the earlier run included.
-            on_status: Gets the tuner's status at every change, and at 1 Hz.
-            on_front: Gets the Pareto front whenever it changes.
-            on_problem: Gets what is tuned when the run begins, and whenever it is changed.
+            evaluations: Budget; 0 = that of the resumed run, or else the tuner's parameter.
+            hypervolume_goal: Hypervolume at which the run ends; 0 = none.
+            run_id: Id of the run; empty = the time.
+            resume_from: Id of the run to resume; empty = none.
+            on_evaluation: Function that receives every evaluation once, also those of the resumed run.
+            on_status: Function that receives the tuner's status after each change and at 1 Hz.
+            on_front: Function that receives the Pareto front after each change.
+            on_problem: Function that receives the problem at the start and after each change.
 
         Raises:
-            TunerError: If the tuner is not there, refuses the run, or falls silent.
+            TunerError: If there is no tuner, it refuses the run, or it falls silent.
         """
         goal = Tune.Goal(
             run_id=run_id or new_run_id("run"),
@@ -207,20 +207,20 @@ class TunerClient:
         on_front: OnFront | None = None,
         on_problem: OnProblem | None = None,
     ) -> Status:
-        """Follow the run that is going on, whoever asked for it; return its last status.
+        """Follow the active run of any client; return its last status.
 
         Args:
-            on_evaluation: Gets every evaluation once, earlier ones included.
-            on_status: Gets the tuner's status at every change, and at 1 Hz.
-            on_front: Gets the Pareto front whenever it changes.
-            on_problem: Gets what is tuned, and again whenever it is changed.
+            on_evaluation: Function that receives every evaluation once, also the earlier ones.
+            on_status: Function that receives the tuner's status after each change and at 1 Hz.
+            on_front: Function that receives the Pareto front after each change.
+            on_problem: Function that receives the problem now and after each change.
 
         Raises:
-            TunerError: If no run is going on, or the tuner falls silent.
+            TunerError: If no run is active, or the tuner falls silent.
         """
         status = self.status()
         if not _is_running(status):
-            raise TunerError(ErrorCode.REFUSED, "no run is going on")
+            raise TunerError(ErrorCode.REFUSED, "no run is active")
         follower = Follower(status.run_id, on_evaluation, on_status, on_front, on_problem)
         with self._connection.listening(follower):
             while _is_running(latest := self.status()) and latest.run_id == status.run_id:
@@ -232,14 +232,14 @@ class TunerClient:
         return status
 
     def cancel(self) -> None:
-        """Cancel the run or the move that this client asked for; its call returns once it ended.
+        """Cancel the run or move of this client, whose call returns after its end.
 
-        It does not wait, and may be called from any thread.
+        It does not wait, and can be called from any thread.
         """
         self._connection.cancel()
 
     def cancel_any(self) -> bool:
-        """Cancel the run or the move that is going on, whoever asked for it.
+        """Cancel the active run or move of any client.
 
         Returns:
             Whether there was one.
@@ -247,7 +247,7 @@ class TunerClient:
         Raises:
             TunerError: If the tuner does not answer.
         """
-        # A request with neither an id nor a time is about all goals of the action.
+        # A request without an id and a time concerns all goals of the action.
         answers = [
             self._call(f"{action}/_action/cancel_goal", CancelGoal.Request()) for action in ACTIONS
         ]
@@ -256,10 +256,10 @@ class TunerClient:
     # ------------------------------------------------------------------ steering
 
     def status(self) -> Status:
-        """Return what the tuner is doing.
+        """Return the status of the tuner.
 
         Raises:
-            TunerError: If the tuner is not there.
+            TunerError: If there is no tuner.
         """
         self._connection.connect()
         return status_of(self._connection.status)
@@ -268,28 +268,28 @@ class TunerClient:
         """Pause the run before its next evaluation; return the tuner's sentence.
 
         Raises:
-            TunerError: If no run is going on, or the tuner is not there; so for the next four, too.
+            TunerError: If no run is active, or there is no tuner; this also applies to the next four.
         """
         return self._trigger("pause")
 
     def resume(self) -> str:
-        """Let a paused run continue; return the tuner's sentence."""
+        """Continue a paused run; return the tuner's sentence."""
         return self._trigger("resume")
 
     def step(self) -> str:
-        """Let the run make one more evaluation, then pause; return the tuner's sentence."""
+        """Do one more evaluation, then pause; return the tuner's sentence."""
         return self._trigger("step")
 
     def skip(self) -> str:
-        """End the evaluation in flight, which counts as failed; return the tuner's sentence."""
+        """End the current evaluation, which counts as failed; return the tuner's sentence."""
         return self._trigger("skip")
 
     def stop(self) -> str:
-        """End the run after the evaluation in flight; return the tuner's sentence."""
+        """End the run after the current evaluation; return the tuner's sentence."""
         return self._trigger("stop_after_this")
 
     def queue(self, setpoint: Mapping[str, float]) -> int:
-        """Have a set-point evaluated next.
+        """Add a set-point, which the run evaluates next.
 
         Args:
             setpoint: Every variable once, in its unit.
@@ -306,7 +306,7 @@ class TunerClient:
     def set(self, values: Mapping[str, Any] | None = None, /, **parameters: Any) -> None:
         """Set parameters of the tuner: all of them, or none.
 
-        A run takes them up before its next evaluation; without a run they are for those to come.
+        The active run applies them before its next evaluation; otherwise later runs apply them.
 
         Args:
             values: Values by full name, such as `{"variables.K1.max": 480.0}`.
@@ -330,7 +330,7 @@ class TunerClient:
         raise TunerError(ErrorCode.REFUSED, result.reason)
 
     def get(self, name: str) -> Any:
-        """Return the value of a parameter of the tuner; None where it is not set.
+        """Return the value of a parameter of the tuner; None if it is not set.
 
         Raises:
             TunerError: If the tuner has no such parameter.
@@ -349,8 +349,8 @@ class TunerClient:
         """Return the Pareto front of a run.
 
         Args:
-            run_id: Id of the run; empty for the one that began last.
-            predict: Whether to predict the front, too, which takes seconds.
+            run_id: Id of the run; empty = the last run.
+            predict: Whether to predict the front too, which takes seconds.
             timeout: Longest wait [s].
 
         Raises:
@@ -371,24 +371,24 @@ class TunerClient:
         radius: float = 0.0,
         on_feedback: OnMovement | None = None,
     ) -> Arrival:
-        """Go to a point of a Pareto front, and wait until the machine is there.
+        """Go to a point of a Pareto front, and wait until the machine has arrived.
 
         Ctrl-C and an error in the callback stop the machine where it is.
 
         Args:
-            index: Index of the point's evaluation; or give weights.
+            index: Index of the point's evaluation; None if weights are given.
             weights: Weights of the objectives [1/unit]; the point with the least sum is chosen.
-            run_id: Id of the run whose front is meant; empty for the run that began last.
+            run_id: Id of the run; empty = the last run.
             hold: Number of evaluations to spend on holding the point against drift.
-            radius: Radius of that search, as a share of each variable's range; 0 for the default.
-            on_feedback: Gets what the machine is doing.
+            radius: Radius of that search as a fraction of each variable's range [1]; 0 = the default.
+            on_feedback: Function that receives the progress.
 
         Raises:
-            TunerError: If there is no such point, or the machine does not get there.
+            TunerError: If there is no such point, or the machine does not reach it.
         """
         if (index is None) == (weights is None):
             raise TunerError(ErrorCode.INVALID_VALUE, "give either the index of a point or weights")
-        # The run is always named: what "last" means may change between two questions.
+        # The run is always named: the last run may change between two calls.
         goal = GoToWorkingPoint.Goal(
             run_id=run_id or self.working_points().measured.run_id,
             hold_evaluations=count(hold, "hold"),
@@ -442,10 +442,10 @@ class TunerClient:
     # ------------------------------------------------------------------ a loop of one's own
 
     def ask(self, *, timeout: float = LONG_TIMEOUT) -> Suggestion:
-        """Return where to measure next; asking twice gives the same answer.
+        """Return the next set-point to measure; repeated calls return the same one.
 
         Raises:
-            TunerError: If a run is going on, or the tuner does not answer in time.
+            TunerError: If a run is active, or the tuner does not answer in time.
         """
         answer = _agreed(self._call("ask", Ask.Request(), timeout))
         return Suggestion(
@@ -463,20 +463,20 @@ class TunerClient:
         *,
         timeout: float = LONG_TIMEOUT,
     ) -> Evaluation:
-        """Tell what was measured.
+        """Add a measurement.
 
         Args:
-            where: Suggestion that was followed, or set-point of one's own.
+            where: Suggestion that was followed, or another set-point.
             diagnostics: Means by name, or pairs (mean, standard deviation); NaN or missing = not
                 measured.
-            readbacks: Where the machine was, as far as known.
+            readbacks: Measured values of the variables, as far as known.
             timeout: Longest wait [s].
 
         Returns:
-            The evaluation as it is kept.
+            The evaluation as it is recorded.
 
         Raises:
-            TunerError: If the tuner refuses it; then nothing was learned.
+            TunerError: If the tuner refuses it; then nothing is added.
         """
         request = Tell.Request(
             diagnostics=named(diagnostics, "the diagnostic"),
@@ -497,7 +497,7 @@ class TunerClient:
         return str(_agreed(self._call(name, Trigger.Request())).message)
 
     def _catch_up(self, follower: Follower, evaluations: int) -> None:
-        """Hand out evaluations that are late, and all that is left."""
+        """Pass on late evaluations and all remaining messages."""
         deadline = time.monotonic() + CATCH_UP
         while follower.lacks(evaluations) and time.monotonic() < deadline:
             self._connection.serve(follower.inbox)
@@ -506,15 +506,15 @@ class TunerClient:
 
 
 def _is_running(status: Status) -> bool:
-    """Whether a run is going on."""
+    """Return whether a run is active."""
     return status.state not in ("idle", "moving", "unknown") and not status.stop_reason
 
 
 def _agreed(answer: Any) -> Any:
-    """Return the answer of a service that did what it was asked for.
+    """Return the response of a successful service call.
 
     Raises:
-        TunerError: If it did not.
+        TunerError: If it was not successful.
     """
     if not answer.success:
         raise TunerError(ErrorCode.REFUSED, answer.message)

@@ -1,4 +1,4 @@
-"""What a `TunerClient` gives: plain values, made from the tuner's messages."""
+"""Values that a `TunerClient` returns, made from the tuner's messages."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from mobo_tuner.runs.records import EvaluationRecord, Source, from_message
 
 
 class ErrorCode(StrEnum):
-    """Why a tuner did not do what it was asked for."""
+    """Kind of a failed request."""
 
     NO_TUNER = "no_tuner"  # none was found
     TUNER_LOST = "tuner_lost"  # it fell silent
-    NO_ANSWER = "no_answer"  # it lives, but did not answer in time
+    NO_ANSWER = "no_answer"  # it did not answer in time
     REFUSED = "refused"  # by the tuner, with its reason
     INVALID_VALUE = "invalid_value"  # it cannot be sent at all
     INVALID_GOAL = "invalid_goal"  # this and the rest are the codes of the actions' results
@@ -32,7 +32,7 @@ class ErrorCode(StrEnum):
 
 
 class TunerError(UserError):
-    """The tuner did not do what it was asked for; the message is one sentence.
+    """A request to the tuner failed; the message is one sentence.
 
     Attributes:
         code: Kind of the error.
@@ -45,21 +45,21 @@ class TunerError(UserError):
 
 @dataclass(frozen=True)
 class Status:
-    """What the tuner is doing.
+    """State of the tuner.
 
     Attributes:
         state: "idle", "waiting", "suggesting", "evaluating", "canceling", "paused" or "moving".
-        run_id: Id of the run that `evaluations` and the rest are about; empty before the first.
+        run_id: Id of the active or last run, to which the counts belong; empty before the first.
         evaluations: Number of finished evaluations.
-        budget: Number of evaluations asked for.
+        budget: Number of evaluations after which the run ends.
         failed: Number of invalid ones among the finished evaluations.
         feasible: Number of feasible ones among the finished evaluations.
         hypervolume: Hypervolume of the Pareto front.
         hypervolume_measured: Hypervolume of the complete readings as they are.
-        phase: The machine's own word for what it is doing, e.g. "ramping".
-        fraction: Share of the phase that is done [0..1].
-        stop_reason: Why the latest run ended; empty while one is going on.
-        message: Sentence for people; empty when there is nothing to say.
+        phase: Phase of the machine's operation, e.g. "ramping".
+        fraction: Completed fraction of the phase [0..1].
+        stop_reason: Stop reason of the last run; empty during a run.
+        message: Message for people, in one sentence; empty = none.
     """
 
     state: str
@@ -78,7 +78,7 @@ class Status:
 
 @dataclass(frozen=True)
 class Evaluation(EvaluationRecord):
-    """One evaluation as its run keeps it, with what clients need beside it.
+    """One evaluation as it is recorded, with further data for clients.
 
     Attributes:
         run_id: Id of the run.
@@ -137,14 +137,14 @@ class Front:
 
 @dataclass(frozen=True)
 class RunResult:
-    """What came out of a run.
+    """Result of a run.
 
     Attributes:
         run_id: Id of the run.
-        front: Pareto front, as far as the run got.
+        front: Pareto front at the end.
         evaluations: Number of finished evaluations.
         stop_reason: "budget", "hypervolume_goal", "stopped", "canceled" or "error".
-        error: Why it ended otherwise than planned; None if it ended well.
+        error: Error that ended the run; None if it succeeded.
     """
 
     run_id: str
@@ -156,7 +156,7 @@ class RunResult:
 
 @dataclass(frozen=True)
 class WorkingPoints:
-    """The Pareto front as measured, and as the models predict it where that was asked for."""
+    """The measured Pareto front and, if requested, the predicted one."""
 
     measured: Front
     predicted: Front | None
@@ -164,12 +164,12 @@ class WorkingPoints:
 
 @dataclass(frozen=True)
 class Movement:
-    """How a move to a working point proceeds.
+    """Progress of a move to a working point.
 
     Attributes:
-        phase: The machine's own word for what it is doing, e.g. "ramping".
+        phase: Phase of the machine's operation, e.g. "ramping".
         evaluations: Number of evaluations spent on holding the point.
-        readbacks: Where the machine is, as far as it says.
+        readbacks: Readbacks of the variables, as far as known.
     """
 
     phase: str
@@ -179,12 +179,12 @@ class Movement:
 
 @dataclass(frozen=True)
 class Arrival:
-    """Where the machine is after a move to a working point.
+    """Result of a move to a working point.
 
     Attributes:
         run_id: Id of the run whose front the point is on.
-        point: The point that was chosen.
-        readbacks: Where the machine is.
+        point: Chosen point.
+        readbacks: Readbacks of the variables.
         units: Units of the variables.
         evaluations: Number of evaluations spent on holding the point.
     """
@@ -198,13 +198,13 @@ class Arrival:
 
 @dataclass(frozen=True)
 class Suggestion:
-    """Where to measure next.
+    """Set-point to measure next.
 
     Attributes:
-        run_id: Id of the run that the answers make up.
-        index: Index of the evaluation that is asked for.
+        run_id: Id of the run to which the evaluation belongs.
+        index: Index of the evaluation.
         setpoint: Every variable, in its unit.
-        source: Where the set-point comes from: "initial" or "model".
+        source: Source of the set-point, "initial" or "model".
     """
 
     run_id: str
@@ -282,7 +282,7 @@ def front_of(message: msg.ParetoFront, *, predicted: bool = False) -> Front:
 
 
 def problem_of(message: msg.Problem) -> Problem:
-    """Return what is tuned from its message, as the tuner checked it."""
+    """Return a problem from its message, as the tuner checked it."""
     return Problem(
         variables=tuple(Variable(v.name, v.min, v.max, v.unit, v.cost) for v in message.variables),
         objectives=tuple(
@@ -325,7 +325,7 @@ def number(value: Any, what: str) -> float:
     """Return a number of any kind as a float.
 
     Raises:
-        TunerError: If it is none.
+        TunerError: If it is not a number.
     """
     try:
         if not isinstance(value, bool | str | bytes):
@@ -336,10 +336,10 @@ def number(value: Any, what: str) -> float:
 
 
 def count(value: Any, what: str) -> int:
-    """Return an integer as messages take it.
+    """Return an integer in the range of messages.
 
     Raises:
-        TunerError: If it is none, or out of range.
+        TunerError: If it is not an integer, or out of range.
     """
     if isinstance(value, bool) or not hasattr(value, "__index__") or not 0 <= value < 2**32:
         raise TunerError(
@@ -354,7 +354,7 @@ def units_of(named: Iterable[msg.NamedValue]) -> dict[str, str]:
 
 
 def parameter_value(name: str, value: Any) -> Any:
-    """Return a value as a ROS parameter takes it: the numbers of a list are of one type.
+    """Return a value for a ROS parameter: the numbers of a list have one type.
 
     Raises:
         TunerError: If no ROS parameter can have it.

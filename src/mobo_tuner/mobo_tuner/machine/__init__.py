@@ -1,1 +1,1 @@
-"""What every machine's node serves: the server of its interfaces, and what is behind them. Without the optimiser."""
+"""The machine's side: the server of its interfaces and its backends, without the optimiser."""

@@ -12,7 +12,7 @@ import numpy.typing as npt
 MAD_TO_SIGMA = (
     1.4826  # standard deviation of a normal distribution over its median absolute deviation
 )
-MAX_SHOTS = 10_000  # that one measurement may average over
+MAX_SHOTS = 10_000  # largest number of shots of a measurement
 FEWEST_SHOTS = 3  # among fewer shots, no outlier can be identified
 
 

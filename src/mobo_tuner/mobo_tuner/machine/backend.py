@@ -1,8 +1,8 @@
 """Interface between `MachineServer` and a machine.
 
-A backend knows neither actions nor clients. Its coroutines run on the executor's thread: a simulated
-machine steps itself, a bridge waits for topics. `ramped.RampedBackend` is the backend of machines
-whose variables are ramped and read back, `simple.SimpleMachine` one made of a few plain functions.
+A backend does not use actions or clients. Its coroutines run on the executor's thread.
+`ramped.RampedBackend` is a backend for machines whose variables are ramped and read back,
+`simple.SimpleMachine` one that consists of a few plain functions.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Measurement:
 
 @dataclass
 class Operation:
-    """A running move or measurement: how far it is, and whether it must end.
+    """A running move or measurement: its progress, and whether it must end.
 
     Attributes:
         executor: Executor of the coroutines that wait for `interrupt`.
@@ -121,7 +121,7 @@ class Operation:
 
 
 class MachineBackend(ABC):
-    """Machine: what it is, and how it moves and measures. It is asked for one thing at a time.
+    """Description, moves and measurements of a machine, which does one thing at a time.
 
     Attributes:
         name: Name of the machine, for people.
@@ -139,7 +139,7 @@ class MachineBackend(ABC):
 
     @abstractmethod
     def readbacks(self) -> Iterable[msg.NamedValue]:
-        """Return where the machine is now; NaN for a variable whose readback is unknown."""
+        """Return the current readbacks; NaN for a variable whose readback is unknown."""
 
     @abstractmethod
     async def move(self, setpoint: Mapping[str, float], operation: Operation) -> Failure | None:
@@ -155,20 +155,20 @@ class MachineBackend(ABC):
 
     @abstractmethod
     async def measure(self, shots: int, operation: Operation) -> Measurement:
-        """Measure where the machine is, passing every shot to `operation.shot`.
+        """Measure at the current position, passing every shot to `operation.shot`.
 
         Args:
             shots: Number of shots to average; 0 = the machine's own number.
-            operation: Operation that this is part of; if it is interrupted, what was measured until
-                then is returned.
+            operation: Operation that this is part of; if it is interrupted, the measurement so far
+                is returned.
         """
 
     @abstractmethod
     def hold(self) -> None:
-        """Stop at once whatever moves, where it is; also called when nothing moves."""
+        """Stop all moves at once; also called if nothing moves."""
 
     def refusal(self) -> Failure | None:
-        """Return why nothing may move now (INTERLOCK, MACHINE_LOST), or None; optional."""
+        """Return a failure (INTERLOCK, MACHINE_LOST) if nothing may move now; optional."""
         return None
 
     def parts(self) -> Mapping[str, Callable[[], Health]]:

@@ -1,17 +1,17 @@
-"""Whether the client of a run still lives, by its heartbeat, and which of its evaluations are old."""
+"""Watch of a run's client by its heartbeat, and of repeated evaluations."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping
 
-MAX_RUNS = 100  # that are remembered
+MAX_RUNS = 100  # number of runs that are remembered
 
 
 class ClientWatch:
-    """Watches one client: that of the run whose evaluation asked for it last.
+    """Watches one client: that of the run whose evaluation requested it last.
 
-    It knows no clock: times are seconds of any one steady clock.
+    It has no clock of its own: all times are seconds of one steady clock.
     """
 
     def __init__(self) -> None:
@@ -26,28 +26,28 @@ class ClientWatch:
         return bool(self.run_id)
 
     def begin(self, run_id: str, timeout: float, fallback: Mapping[str, float], now: float) -> None:
-        """A goal of `run_id` came: watch its client from now on, and no other.
+        """Watch the client of a run, and no other, from now on.
 
         Args:
-            run_id: of the goal.
-            timeout: of the heartbeat [s]; 0 = this client is not watched.
-            fallback: where the machine goes when the client is lost; empty = it holds.
-            now: [s].
+            run_id: Id of the run.
+            timeout: Timeout of the heartbeat [s]; 0 = the client is not watched.
+            fallback: Set-point for a lost client; empty = hold.
+            now: Current time [s].
         """
         self.run_id = run_id if timeout > 0.0 else ""
         self.timeout, self.fallback, self._heard = timeout, fallback, now
 
     def hear(self, run_id: str, now: float) -> None:
-        """A heartbeat came; it counts where it is of the run that is watched."""
+        """Take a heartbeat; those of other runs are ignored."""
         if run_id == self.run_id:
             self._heard = now
 
     def end(self) -> None:
-        """Watch nobody."""
+        """Stop watching."""
         self.run_id = ""
 
     def lost(self, now: float) -> bool:
-        """Whether the client that is watched has been silent for longer than its timeout."""
+        """Return whether the watched client has been silent for longer than its timeout."""
         return self.active and now - self._heard > self.timeout
 
 
@@ -58,7 +58,7 @@ class FinishedEvaluations:
         self._last: OrderedDict[str, tuple[int, int]] = OrderedDict()
 
     def refusal(self, run_id: str, index: int, attempt: int) -> str:
-        """Why this evaluation must not be made, in one sentence; empty where it may."""
+        """Return the reason to refuse an evaluation, in one sentence; empty if there is none."""
         last = self._last.get(run_id)  # None if the run has no id: such evaluations are by hand
         if last is None or (index, attempt) > last:
             return ""
@@ -69,7 +69,7 @@ class FinishedEvaluations:
         )
 
     def add(self, run_id: str, index: int, attempt: int) -> None:
-        """This evaluation is finished; one without a run may be repeated at will."""
+        """Remember a finished evaluation; one without a run may be repeated."""
         if not run_id:
             return
         self._last[run_id] = (index, attempt)
@@ -78,5 +78,5 @@ class FinishedEvaluations:
             self._last.popitem(last=False)
 
     def forget(self, run_id: str) -> None:
-        """The run's client is lost: whoever resumes the run may have missed the last answer."""
+        """Forget a run whose client is lost: its successor may have missed the last result."""
         self._last.pop(run_id, None)

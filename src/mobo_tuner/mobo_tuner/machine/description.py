@@ -1,6 +1,6 @@
-"""What a machine is, said before its node starts: a description as JSON.
+"""Description of a machine before its node starts, as JSON.
 
-Each machine whose node `mobo.py` starts by a section of the parameter file has a program beside it.
+Each machine that a section of the parameter file chooses has a describing program.
 `python -m MODULE FILE` checks that section and prints the description, or one sentence on standard
 error, with exit status 2:
 
@@ -30,7 +30,7 @@ class DescriptionError(UserError):
 
 @dataclass(frozen=True)
 class VariableLimits:
-    """One setting of a machine: its hard limits in `unit`."""
+    """Hard limits of one variable, in `unit`."""
 
     minimum: float
     maximum: float
@@ -39,14 +39,14 @@ class VariableLimits:
 
 @dataclass(frozen=True)
 class MachineDescription:
-    """What a machine is before it is tuned.
+    """Description of a machine.
 
     Attributes:
-        name: The machine's name, for people.
-        variables: What can be set, by name.
-        diagnostics: Units of what is measured, by name.
-        evaluation_seconds: Typical duration of one evaluation [s]; None if it is not known.
-        files: Absolute paths of the files that parameters of its node name, by parameter.
+        name: Name of the machine, for people.
+        variables: Limits of the variables, by name.
+        diagnostics: Units of the diagnostics, by name.
+        evaluation_seconds: Typical duration of one evaluation [s]; None = unknown.
+        files: Absolute paths of files that are given by parameters of its node, by parameter.
     """
 
     name: str
@@ -103,10 +103,10 @@ class MachineDescription:
 def print_description(
     describe: Callable[[Path], MachineDescription], arguments: Sequence[str] | None = None
 ) -> int:
-    """Run a machine's describing program: print the description of the machine of one file.
+    """Run a machine's describing program: print the description of the machine of a file.
 
     Args:
-        describe: Returns the description, or raises `UserError`.
+        describe: Function that returns the description or raises `UserError`.
         arguments: Command line; that of the process if None.
 
     Returns:

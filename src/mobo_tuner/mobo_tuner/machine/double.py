@@ -1,4 +1,4 @@
-"""Double of a machine for tests of clients: it answers as the test says, and misbehaves on demand."""
+"""Double of a machine for tests of clients, with answers and faults that the test defines."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class Answer(NamedTuple):
 class MachineDouble:
     """Serves the interfaces of a machine in a test, on a node that the test spins.
 
-    It reaches every set-point at once and checks nothing. What it does is set at any time by its
-    attributes; `docs/own_machine.md` shows it in a test.
+    It reaches every set-point at once and checks nothing. Its attributes define its behaviour and may be
+    set at any time; `docs/own_machine.md` shows an example.
 
     Args:
         node: Node of the test.
@@ -51,8 +51,8 @@ class MachineDouble:
     Attributes:
         answer: As above.
         goals: Goals of `evaluate_setpoint` so far.
-        times: Times at which they came, by `time.monotonic` [s].
-        position: Set-point where the machine is; empty before the first goal.
+        times: Times of their arrival, by `time.monotonic` [s].
+        position: Current set-point; empty before the first goal.
         held: Whether evaluations wait, sending feedback, until this is false or they are canceled.
         silent: Whether evaluations wait without feedback, ignoring cancels.
         identity: Function that gives the run id, index and attempt that a result carries; by default
@@ -93,7 +93,7 @@ class MachineDouble:
         ]
 
     def close(self) -> None:
-        """Disappear, as a machine whose node died; a running evaluation never ends."""
+        """Disappear like a machine whose node died; a running evaluation never ends."""
         self.silent = True
         for server in self._servers:
             server.close()

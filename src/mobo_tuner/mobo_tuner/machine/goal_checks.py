@@ -1,4 +1,4 @@
-"""What must be right about a machine's goal before anything moves."""
+"""Checks of a machine's goals before anything moves."""
 
 from __future__ import annotations
 
@@ -8,21 +8,22 @@ from collections.abc import Iterable, Sequence
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint
 
-MOST_SHOWN = 80  # characters of what somebody sent
+MOST_SHOWN = 80  # characters of a received string in an error message
 
 
 def check_setpoint(
     named: Sequence[msg.NamedValue], variables: Sequence[msg.Variable], what: str = "set-point"
 ) -> dict[str, float]:
-    """The values of a set-point, in the machine's order.
+    """Check a set-point and return its values in the machine's order.
 
     Args:
-        named: must name every variable once, within its limits, in its unit or without one.
-        variables: of the machine.
-        what: the set-point is called in messages.
+        named: Values, which must contain every variable once, within its limits, in its unit or
+            without a unit.
+        variables: Variables of the machine.
+        what: Name of the set-point in messages.
 
     Raises:
-        ValueError: the set-point is not allowed; the message is one sentence.
+        ValueError: If the set-point is not allowed; the message is one sentence.
     """
     given = _by_name(named, what, "a variable")
     names = [variable.name for variable in variables]
@@ -54,10 +55,10 @@ def check_evaluation(
     diagnostics: Sequence[msg.Observable],
     max_shots: int,
 ) -> dict[str, float]:
-    """Everything in a goal that does not depend on the machine's state; its set-point's values.
+    """Check the parts of a goal that do not depend on the machine's state; return its set-point.
 
     Raises:
-        ValueError: something is not allowed; the message is one sentence.
+        ValueError: If something is not allowed; the message is one sentence.
     """
     setpoint = check_setpoint(goal.setpoint, variables)
     for what in ("if_client_lost", "if_violated"):
@@ -92,7 +93,11 @@ def _check_critical(
 
 
 def _by_name(items: Iterable, what: str, kind: str) -> dict:
-    """Items by name; ValueError where one stands twice."""
+    """Return items by name.
+
+    Raises:
+        ValueError: If a name occurs twice.
+    """
     by_name: dict = {}
     for item in items:
         if item.name in by_name:
@@ -102,7 +107,7 @@ def _by_name(items: Iterable, what: str, kind: str) -> dict:
 
 
 def _shown(text: str) -> str:
-    """What somebody sent, quoted, and cut where it is long."""
+    """Return a received string, quoted and with limited length."""
     return repr(text[:MOST_SHOWN])
 
 

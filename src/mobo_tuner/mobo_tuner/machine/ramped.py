@@ -45,7 +45,7 @@ class RampedBackend(MachineBackend):
         name: Name of the machine, for people.
         variables: Variables of the machine.
         diagnostics: Units of the diagnostics by name; empty for none.
-        settings: How the variables move.
+        settings: Settings of the moves.
     """
 
     def __init__(

@@ -296,7 +296,7 @@ class MachineServer:
             self._operation.stop(failure)
 
     def _serves(self, run_id: str) -> bool:
-        """Whether an evaluation of this run is running."""
+        """Return whether an evaluation of this run is running."""
         request = None if self._goal is None else self._goal.request
         return isinstance(request, EvaluateSetpoint.Goal) and request.run_id == run_id
 

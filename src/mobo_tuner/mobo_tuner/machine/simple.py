@@ -42,7 +42,7 @@ class SimpleMachine(RampedBackend):
         name: Name of the machine, for people.
         variables: Variables of the machine.
         diagnostics: Units of the diagnostics by name; empty for none.
-        settings: How the variables move.
+        settings: Settings of the moves.
         shots: Number of shots of a measurement for which the client asks for no number.
         outliers: Rule that identifies shots to leave out of the averages.
         timeout: Longest time that one `write` or `read` may take [s].

@@ -1,10 +1,10 @@
-"""Check a whole parameter file before anything starts, and say what it means.
+"""Check a whole parameter file before anything starts, and describe its meaning.
 
-`python -m mobo_tuner.nodes.check_config FILE --machine-node NAME=MODULE ...` prints what a run must
-know of the file as one JSON object, or one sentence on standard error, with exit status 2.
+`python -m mobo_tuner.nodes.check_config FILE --machine-node NAME=MODULE ...` prints the facts that a
+run needs as one JSON object, or an error of one sentence on standard error, with exit status 2.
 
-Which machine there is depends on the sections of the file: each section NAME belongs to a machine's
-node, and `python -m MODULE FILE` describes that machine. Nothing here knows a machine by name.
+The sections of the file choose the machine: each section NAME belongs to a machine's node, and
+`python -m MODULE FILE` describes that machine. This module does not know the names of machines.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def check(
         path: Path of the file.
         machines: Function that describes the machine, by the name of the section that chooses it.
         program: Command of a machine that is not chosen by a section; empty if there is none. Its
-            sections are not known, so that all but misspelt ones are allowed.
+            sections are unknown, so all sections except misspelt ones are allowed.
         program_yields: Whether a section that chooses a machine replaces that command.
 
     Raises:
@@ -86,7 +86,7 @@ def check(
 
 
 def describe_by(module: str) -> Describe:
-    """Return the function that has a module describe the machine of a file, in its own process."""
+    """Return the function that describes the machine of a file by a module, in its own process."""
 
     def describe(path: Path) -> MachineDescription:
         command = [sys.executable, "-P", "-m", module, str(path)]
@@ -105,9 +105,9 @@ def describe_by(module: str) -> Describe:
 
 
 def copy_to(folder: Path, configuration: Configuration) -> list[str]:
-    """Copy a parameter file, and the files that its machine's node needs, into a run's folder.
+    """Copy a parameter file and the files that its machine's node needs into a run's folder.
 
-    The parameter file is changed only where it names a file that must have another name there.
+    Only names of files in the parameter file are changed, if the copies have other names.
 
     Returns:
         Names of the other files.
@@ -133,7 +133,7 @@ def copy_to(folder: Path, configuration: Configuration) -> list[str]:
 
 
 def _rename(content: dict[str, Any], section: str, names: Mapping[str, str]) -> bool:
-    """Set parameters of a node in a file's content; return whether one was something else."""
+    """Set parameters of a node in a file's content; return whether a value changed."""
     changed = False
     for key, part in content.items():
         if not section or section not in node_sections({key: part}):
@@ -163,10 +163,10 @@ def _machine_section(
 
 
 def _check_names(sections: Mapping[str, object], known: Sequence[str], allow_others: bool) -> None:
-    """Refuse sections of unknown nodes.
+    """Reject sections of unknown nodes.
 
     Raises:
-        ParameterError: If there is one, or one that is allowed is nearly a known name.
+        ParameterError: If a section is unknown, or an allowed one is similar to a known name.
     """
     for name in sections:
         if name in known:
@@ -194,13 +194,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--program-yields", action="store_true", help="a section replaces that command"
     )
-    parser.add_argument("--copy-to", metavar="FOLDER", type=Path, help="where copies are made")
+    parser.add_argument("--copy-to", metavar="FOLDER", type=Path, help="folder of the copies")
     parser.add_argument("--explain", action="store_true", help="print plain lines for people")
     return parser
 
 
 def main() -> int:
-    """Check the file that the command line names; return the exit status."""
+    """Check the file of the command line; return the exit status."""
     options = _parser().parse_args()
     nodes = dict(text.split("=", maxsplit=1) for text in options.machine_node)
     machines = {name: describe_by(module) for name, module in nodes.items()}

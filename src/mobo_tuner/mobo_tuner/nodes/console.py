@@ -1,4 +1,4 @@
-"""The console: starts one run, shows how it proceeds, and ends with it."""
+"""The console: it starts one run, shows its progress, and ends with it."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ PROGRAM = Program("console", "Starts one run of the tuner, shows it, and ends wi
 class Console:
     """The client of one run.
 
-    It ends by itself: with status 0 when the run met its budget or goal, 130 when it was canceled,
-    and 1 after an error, which it names on standard error. The run is followed in a thread, and this
-    node's executor serves it.
+    Its exit status is 0 if the run reached its budget or goal, 130 if it was canceled, and 1 after an
+    error, which it prints on standard error. A thread follows the run, and this node's executor serves
+    that thread.
     """
 
     def __init__(self, executor: Executor) -> None:
-        """Look for the tuner and the recorder; the goal is sent when both are ready.
+        """Start waiting for the tuner and the recorder; the goal is sent when both are ready.
 
         Raises:
             ValueError: If a parameter is not allowed.
@@ -64,13 +64,13 @@ class Console:
         threading.Thread(target=self._run, name="run", daemon=True).start()
 
     def interrupt(self) -> None:
-        """Cancel the run; as long as the machine is moved after that, the console waits for it."""
+        """Cancel the run, and wait for the machine if it then moves to its fallback."""
         self._interrupted = True
         self._client.cancel()
         self._executor.create_task(self._await_fallback)
 
     async def stop(self) -> None:
-        """Cancel the run and wait a moment for what it reached; the machine does not go back."""
+        """Cancel the run and wait briefly for its result; the machine does not move to its fallback."""
         if self.exit_code is not None:
             return
         self._interrupted = True
@@ -81,7 +81,7 @@ class Console:
             self._give_up()
 
     async def _await_fallback(self) -> None:
-        """Wait for the end of a run that was canceled, and of the move that may follow."""
+        """Wait for the end of a canceled run, and of the move that may follow."""
         hint = "press Ctrl-C again to stop the machine where it is"
         while not await self._ends_soon():
             if not self._is_moving:
@@ -104,7 +104,7 @@ class Console:
         return self._view.progress.status.state == "moving"
 
     def _stop_fallback(self) -> None:
-        """Have the machine stop where it is."""
+        """Stop the machine where it is."""
         with contextlib.suppress(TunerError):
             self._client.skip()
 
@@ -114,7 +114,7 @@ class Console:
         self.node.destroy_node()
 
     def _run(self) -> None:
-        """See one run through, from readiness to its end."""
+        """Carry out the run from readiness to its end."""
         try:
             self.exit_code = self._judge(self._tune())
         except Exception as error:
@@ -147,7 +147,7 @@ class Console:
         )
 
     def _recorder_trouble(self) -> str:
-        """Return why the recorder would not record the run, in a sentence; empty if it would."""
+        """Return the reason why the recorder would not record the run; empty if it would."""
         status = self._recorder
         if status is None:
             return f"no recorder was found within {self._ready_timeout:g} s"
@@ -160,7 +160,7 @@ class Console:
         return ""
 
     def _judge(self, result: RunResult) -> int:
-        """Say how the run ended; return the exit status.
+        """Print how the run ended; return the exit status.
 
         Raises:
             TunerError: If it ended with an error.
@@ -174,7 +174,7 @@ class Console:
             self._conclude(f"run {result.run_id} is finished ({result.stop_reason}): {reached}")
             return 0
         if result.error.code == ErrorCode.CANCELED:
-            # The reason says where the machine was left, too.
+            # The reason also says where the machine was left.
             self._conclude(f"{result.error}\nrun {result.run_id} was canceled: {reached}")
             return EXIT_CANCELED
         if result.evaluations:

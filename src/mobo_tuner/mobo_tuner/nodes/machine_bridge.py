@@ -1,4 +1,4 @@
-"""The bridge: serves the machine that a mapping file describes, for controls that know none of our types."""
+"""The bridge: it serves the machine of a mapping file, whose controls use their own types."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from mobo_tuner.ros.process import StartError
 
 
 def create(node: Node, executor: Executor) -> BridgeBackend:
-    """Return the machine that the mapping file describes.
+    """Return the machine of the mapping file.
 
     Raises:
         ValueError: If a parameter or the mapping is not allowed; nothing was sent.
-        StartError: If no mapping is named.
+        StartError: If the parameter `mapping` is empty.
     """
     path = str(declare(node, MACHINE_BRIDGE)["mapping"])
     if not path:

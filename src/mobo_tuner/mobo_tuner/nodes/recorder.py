@@ -1,7 +1,7 @@
-"""The recorder: every topic of the run's ROS domain goes into a rosbag2 folder.
+"""The recorder: it writes every topic of the run's ROS domain into a rosbag2 folder.
 
-Hidden topics (those of actions and service events) are left out, as `ros2 bag record --all` does:
-what a run does is in the topics of its nodes, one `Evaluation` per evaluation.
+Hidden topics (those of actions and service events) are omitted, as by `ros2 bag record --all`: the
+topics of the nodes contain the whole run, with one `Evaluation` per evaluation.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from mobo_tuner.runs.bag import BagWriter
 from mobo_tuner.runs.definitions import Definition, DefinitionError, find_definition
 
 QUEUE_DEPTH = 1000  # messages of a topic that may wait to be recorded
-FLUSH_PERIOD = 0.25  # [s] what is lost at most when the process is killed
+FLUSH_PERIOD = 0.25  # [s] of messages that are lost at most if the process is killed
 STATUS_PERIOD = 1.0  # [s]
 SCARCE_SPACE = 1e9  # [bytes] left on the disk below which a person is warned
 QUIET_TIME = 0.2  # [s] without a message after which the queues count as empty
@@ -59,7 +59,7 @@ PROGRAM = Program(
 class Recorder:
     """Records all topics from their discovery until it is stopped.
 
-    Should writing fail, it says so in its status and lives on, recording no more.
+    If writing fails, it publishes the reason in its status and continues without recording.
     """
 
     exit_code = None
@@ -118,7 +118,7 @@ class Recorder:
         return Health(OK, f"{len(self._topics)} topics are recorded", values)
 
     async def stop(self) -> None:
-        """Record what was published until now, then close the bag."""
+        """Record all messages published until now, then close the bag."""
         self._discover()
         await self._drained()
         self._close_bag()
@@ -126,12 +126,12 @@ class Recorder:
         self._publisher.wait_for_all_acked(Duration(seconds=FAREWELL_TIMEOUT))
 
     def close(self) -> None:
-        """Close the bag, if that has not happened, and release the node."""
+        """Close the bag if it is open, and release the node."""
         self._close_bag()
         self._node.destroy_node()
 
     def _discover(self) -> None:
-        """Subscribe to topics that have a publisher by now."""
+        """Subscribe to topics that have a publisher."""
         if not self._recording:
             return
         before = len(self._topics)
@@ -184,7 +184,7 @@ class Recorder:
     def _write(self, connection: Connection, data: bytes, info: dict[str, int]) -> None:
         if not self._recording:
             return
-        # In the order of their timestamps, as the bag needs them: topics arrive interleaved.
+        # The bag needs ordered timestamps, but the messages of several topics arrive interleaved.
         self._last_timestamp = max(self._last_timestamp, info["received_timestamp"])
         try:
             self._bag.write(connection, self._last_timestamp, data)
@@ -236,7 +236,7 @@ class Recorder:
         )
 
     def _drained(self) -> Future:
-        """A future that is done once no message came for a moment, or time is up."""
+        """Return a future that is done after a moment without messages, or after a timeout."""
         done: Future = Future(executor=self._executor)
         started = latest = time.monotonic()
         count = self._bag.message_count
@@ -255,7 +255,11 @@ class Recorder:
 
 
 def _open_bag(path: str) -> BagWriter:
-    """Raises StartError where the bag cannot be made."""
+    """Open a new bag.
+
+    Raises:
+        StartError: If it cannot be created.
+    """
     if not path:
         raise StartError("the parameter bag_path is empty; it must name the bag's folder")
     try:
@@ -278,7 +282,11 @@ def _message_class(type_name: str) -> type[Any]:
 
 
 def _check_hashes(definition: Definition, publishers: Sequence[TopicEndpointInfo]) -> None:
-    """A definition that is not the publisher's would make the bag lie."""
+    """Check that the publishers use this definition, because the bag stores it.
+
+    Raises:
+        DefinitionError: If one does not.
+    """
     for publisher in publishers:
         type_hash = publisher.topic_type_hash
         if type_hash.version > 0 and str(type_hash) != definition.type_hash:
@@ -289,7 +297,7 @@ def _check_hashes(definition: Definition, publishers: Sequence[TopicEndpointInfo
 
 
 def _matching_qos(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
-    """The strictest profile that every publisher's offer satisfies."""
+    """Return the strictest profile that all publishers satisfy."""
     offers = [publisher.qos_profile for publisher in publishers]
     reliable = all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
     latched = all(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
@@ -302,7 +310,7 @@ def _matching_qos(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
 
 
 def _offered_qos(profile: QoSProfile) -> Qos:
-    """A publisher's profile as a bag stores it; discovery tells neither history nor depth."""
+    """Return a publisher's profile for the bag; discovery provides neither history nor depth."""
     return Qos(
         history=QosHistory[profile.history.name],
         depth=profile.depth,

@@ -23,7 +23,7 @@ Act = Callable[[TunerClient, argparse.Namespace], str]
 
 
 def status(client: TunerClient, _: argparse.Namespace) -> str:
-    """Say what the tuner is doing."""
+    """Print the state of the tuner."""
     now = client.status()
     text = f"{now.state} {now.phase}".rstrip()
     if now.run_id:
@@ -32,7 +32,7 @@ def status(client: TunerClient, _: argparse.Namespace) -> str:
 
 
 def watch(client: TunerClient, _: argparse.Namespace) -> str:
-    """Show the run that is going on until it ends; Ctrl-C only ends the view."""
+    """Show the active run until it ends; Ctrl-C only ends the view."""
     now = client.status()
     view = make_view(now.run_id, now.budget)
     try:
@@ -46,9 +46,9 @@ def watch(client: TunerClient, _: argparse.Namespace) -> str:
 
 
 def cancel(client: TunerClient, _: argparse.Namespace) -> str:
-    """Cancel the run or the move that is going on, whoever asked for it."""
+    """Cancel the active run or move."""
     if not client.cancel_any():
-        raise TunerError(ErrorCode.REFUSED, "nothing is going on")
+        raise TunerError(ErrorCode.REFUSED, "no run or move is active")
     while client.status().state != "idle":
         time.sleep(POLL_PERIOD)
     return client.status().message or "canceled"
@@ -60,27 +60,27 @@ def pause(client: TunerClient, _: argparse.Namespace) -> str:
 
 
 def continue_(client: TunerClient, _: argparse.Namespace) -> str:
-    """Let a paused run continue."""
+    """Continue a paused run."""
     return client.resume()
 
 
 def step(client: TunerClient, _: argparse.Namespace) -> str:
-    """Make one more evaluation, then pause."""
+    """Do one more evaluation, then pause."""
     return client.step()
 
 
 def skip(client: TunerClient, _: argparse.Namespace) -> str:
-    """End the evaluation in flight, which counts as failed."""
+    """End the current evaluation, which counts as failed."""
     return client.skip()
 
 
 def stop(client: TunerClient, _: argparse.Namespace) -> str:
-    """End the run after the evaluation in flight."""
+    """End the run after the current evaluation."""
     return client.stop()
 
 
 def queue(client: TunerClient, options: argparse.Namespace) -> str:
-    """Have a set-point evaluated next."""
+    """Evaluate a set-point of your own next."""
     return f"set-points in the queue: {client.queue(dict(options.values))}"
 
 
@@ -172,7 +172,7 @@ def make_parser() -> argparse.ArgumentParser:
         "--sort", default="", metavar="NAME", help="objective or variable; the best comes first"
     )
     parsers["points"].add_argument(
-        "--predict", action="store_true", help="list the front that the models predict, too"
+        "--predict", action="store_true", help="also list the front that the models predict"
     )
     parsers["go"].add_argument(
         "index", nargs="?", type=_count, metavar="INDEX", help="index of the point's evaluation"
@@ -189,20 +189,20 @@ def make_parser() -> argparse.ArgumentParser:
         type=_count,
         default=0,
         metavar="N",
-        help="number of evaluations to hold the point with, against drift (default: 0)",
+        help="number of evaluations that then track drift around the point (default: 0)",
     )
     parsers["go"].add_argument(
         "--radius",
         type=float,
         default=0.0,
         metavar="SHARE",
-        help="radius of the search around it, as a share of each range (default: 0.1)",
+        help="radius of the search around it as a fraction of each range (default: 0.1)",
     )
     return parser
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Do one thing and print what came of it; return 0, or 1 after an error that is printed."""
+    """Carry out one verb and print its result; return 0, or 1 after printing an error."""
     options = make_parser().parse_args(arguments)
     try:
         with TunerClient(options.namespace) as client:
@@ -217,7 +217,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def main() -> None:
-    """Do what the command line says; SIGTERM and a closed terminal stop a move as Ctrl-C does."""
+    """Carry out the command line; SIGTERM and a closed terminal stop a move like Ctrl-C."""
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler)
@@ -225,7 +225,7 @@ def main() -> None:
 
 
 def _counts(now: Status) -> str:
-    """Return an integer as messages take it."""
+    """Return the counts of a run as text."""
     return (
         f"{now.evaluations} of {now.budget} evaluations, {now.feasible} feasible, "
         f"{now.failed} failed, hypervolume {now.hypervolume:.6g}"
@@ -242,7 +242,7 @@ def _is_maximized(client: TunerClient, name: str) -> bool:
 
 
 def _table(front: Front, title: str, sort: str, descending: bool, top: int | None) -> str:
-    """Return a front, one point a line; a predicted point has no index, as nobody was there."""
+    """Return a front, one point per line; a predicted point has no index."""
     listed = list(front.points)
     if sort:
         known = [*front.reference_point, *(listed[0].setpoint if listed else ())]
@@ -293,7 +293,7 @@ def _named_number(text: str) -> tuple[str, float]:
 
 
 def _count(text: str) -> int:
-    """Return an integer as messages take it."""
+    """Return an integer of at least 0."""
     if not (text.isdecimal() and int(text) < 2**32):
         raise argparse.ArgumentTypeError(f"{text!r} is not an integer of at least 0")
     return int(text)

@@ -1,4 +1,4 @@
-"""The tuner: proposes set-points, has the machine evaluate them, learns, and reports the front."""
+"""The tuner: it proposes set-points, lets the machine evaluate them, and publishes the front."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ STOPPED = "the tuner was asked to stop"
 
 
 class Tuner:
-    """Puts the parts of the tuner together; nothing moves before a client asks for it."""
+    """Connects the parts of the tuner; nothing moves until a client requests it."""
 
     exit_code = None
 
@@ -43,7 +43,7 @@ class Tuner:
         """Declare the parameters and serve.
 
         Raises:
-            UserError: If the parameters do not make up a problem and a method that suits it.
+            UserError: If the parameters do not form a problem and a suitable method.
         """
         self.node = Node("tuner", automatically_declare_parameters_from_overrides=True)
         try:
@@ -88,7 +88,7 @@ class Tuner:
         )
 
     async def stop(self) -> None:
-        """End what is being done, with what there is."""
+        """End the current work and keep its results."""
         self._context.stopping.set_result(STOPPED)
         if self._session.run is not None:
             self._session.run.stop(STOPPED)

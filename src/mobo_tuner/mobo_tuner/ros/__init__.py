@@ -1,1 +1,1 @@
-"""What the nodes share: parameters, quality of service, conversions, and how a node's process runs."""
+"""Shared parts of the nodes: interfaces, parameters, quality of service, conversions, processes."""

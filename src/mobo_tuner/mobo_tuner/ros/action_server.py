@@ -1,4 +1,4 @@
-"""One manner of serving an action: refuse with a reason, cancel explicitly, conclude in one place."""
+"""Action server: refusals with a reason, explicit cancels, and one place for conclusions."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Goal:
         return bool(self._handle.is_cancel_requested)
 
     def on_cancel(self, callback: Callable[[], None]) -> None:
-        """Set what a cancel does; if the goal is canceled already, do it now.
+        """Set the function for a cancel, and call it now if the goal is already canceled.
 
         Args:
             callback: Function that interrupts the work on the goal and returns at once.
@@ -60,10 +60,10 @@ class Goal:
 class GoalServer:
     """Action server that concludes each goal by the `error_code` of its result.
 
-    Every goal is accepted, because ROS rejects a goal without saying why: a goal that cannot be
-    served is aborted with the reason in `error_msg`. Whether something else is going on is for
-    `execute` to decide, because several actions may share what they move. `NONE` concludes a goal
-    as succeeded, `CANCELED` as canceled if its client asked for that, everything else as aborted.
+    Every goal is accepted, because ROS rejects goals without a reason: a goal that cannot be served is
+    aborted with the reason in `error_msg`. `execute` decides whether another goal prevents it, because
+    several actions may move the same machine. `NONE` concludes a goal as succeeded, `CANCELED` as
+    canceled if its client requested that, every other code as aborted.
 
     Args:
         node: Node that serves the action; its executor runs `execute`.
@@ -97,7 +97,7 @@ class GoalServer:
 
     def _cancel(self, handle: ServerGoalHandle) -> CancelResponse:
         goal = self._goals.get(bytes(handle.goal_id.uuid))
-        if goal is not None:  # else it has not begun, and `on_cancel` will notice
+        if goal is not None:  # otherwise it has not started, and `on_cancel` handles the cancel
             goal.cancel()
         return CancelResponse.ACCEPT
 

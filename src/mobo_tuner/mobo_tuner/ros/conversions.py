@@ -1,4 +1,4 @@
-"""Named values and stamps, to messages and back."""
+"""Conversions of named values and stamps to messages and back."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from builtin_interfaces.msg import Time
 from mobo_msgs_py import msg
 from mobo_tuner.errors import MessageError
 
-MAX_NAMES = 10_000  # in a list from outside
+MAX_NAMES = 10_000  # in a list from another node
 
 
 def seconds(stamp: Time) -> float:
-    """A stamp as seconds since the epoch."""
+    """Return a stamp in seconds since the epoch [s]."""
     return stamp.sec + 1e-9 * stamp.nanosec
 
 
@@ -23,7 +23,7 @@ def named_values(
     units: Mapping[str, str],
     stddevs: Mapping[str, float] | None = None,
 ) -> list[msg.NamedValue]:
-    """Named values in the order of `values`; an unknown standard deviation is NaN."""
+    """Return named values in the order of `values`; an unknown standard deviation is NaN."""
     return [
         msg.NamedValue(
             name=name,
@@ -36,15 +36,15 @@ def named_values(
 
 
 def values_of(named: Iterable[msg.NamedValue]) -> dict[str, float]:
-    """Values by name."""
+    """Return values by name."""
     return {item.name: item.value for item in named}
 
 
 def unique_values(what: str, named: Sequence[msg.NamedValue]) -> dict[str, float]:
-    """Values by name, of someone whose word is not taken for it.
+    """Return values by name from an untrusted client.
 
     Raises:
-        MessageError: there are too many, or a name stands twice.
+        MessageError: If there are too many, or a name occurs twice.
     """
     if len(named) > MAX_NAMES:
         raise MessageError(f"{what} has {len(named)} names; at most {MAX_NAMES} are allowed")
@@ -57,5 +57,5 @@ def unique_values(what: str, named: Sequence[msg.NamedValue]) -> dict[str, float
 
 
 def measurements_of(named: Iterable[msg.NamedValue]) -> dict[str, tuple[float, float]]:
-    """Pairs (mean, standard deviation) by name, as `Optimizer.tell` takes them."""
+    """Return pairs (mean, standard deviation) by name, for `Optimizer.tell`."""
     return {item.name: (item.value, item.stddev) for item in named}

@@ -1,4 +1,4 @@
-"""Calls of rclpy from any thread, each made on the thread of one executor."""
+"""Calls of rclpy from any thread, which are made on the thread of one executor."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, ParamSpec, TypeVar
 
 from rclpy.executors import Executor
 
-SPIN_PERIOD = 0.25  # [s]; a thread that spins looks this often whether it was asked to end
+SPIN_PERIOD = 0.25  # [s] between two checks of a spinning thread whether it must end
 CALL_TIMEOUT = 10.0  # [s] for an executor to make a quick call
 JOIN_TIMEOUT = 5.0  # [s]
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 class ExecutorThread:
-    """The thread of an executor, as other threads use it.
+    """The thread of an executor, for use by other threads.
 
     rclpy loses goals and answers when its calls race with the executor. A thread that blocks therefore
     has each call made here, on the executor's own thread, and only waits for the result.
@@ -31,7 +31,7 @@ class ExecutorThread:
     def __init__(self, executor: Executor, *, spin: bool) -> None:
         self._executor = executor
         self._closing = threading.Event()
-        self._identity: int | None = None  # of the thread that spins, once it is known
+        self._identity: int | None = None  # of the spinning thread, as soon as it is known
         self._thread: threading.Thread | None = None
         if spin:
             self._thread = threading.Thread(target=self._spin, name="executor", daemon=True)
@@ -39,7 +39,7 @@ class ExecutorThread:
 
     @property
     def is_current(self) -> bool:
-        """Whether this is called on the executor's thread, where nothing may block."""
+        """Whether the caller is on the executor's thread, where nothing may block."""
         return threading.get_ident() == self._identity
 
     def call(self, function: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> T:
@@ -67,14 +67,14 @@ class ExecutorThread:
                 return
             try:
                 done.set_result(function(*args, **kwargs))
-            except Exception as error:  # for whoever waits, and not for the executor
+            except Exception as error:  # for the waiting thread, not for the executor
                 done.set_exception(error)
 
         self._executor.create_task(work)
         return done
 
     def start(self, function: Callable[[], Any]) -> Future[Any]:
-        """Call a function that gives a future of rclpy; return one to wait for on this thread."""
+        """Call a function that returns a future of rclpy; return one to wait for on this thread."""
         finished: Future[Any] = Future()
 
         def transfer(future: Any) -> None:
@@ -90,7 +90,7 @@ class ExecutorThread:
         return finished
 
     def close(self) -> None:
-        """End the thread that spins, if it is this object's own."""
+        """End the spinning thread if it belongs to this object."""
         self._closing.set()
         if self._thread is not None:
             self.post(lambda: None)  # ends the wait in `spin_once`, which `wake` does not

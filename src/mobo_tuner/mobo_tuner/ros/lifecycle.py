@@ -1,4 +1,4 @@
-"""Lifecycle nodes that survive a transition that their state does not allow."""
+"""Lifecycle nodes that survive transitions that their state does not allow."""
 
 from __future__ import annotations
 

@@ -101,8 +101,8 @@ def run_node(
 
     Args:
         create: Function that builds the node, given the executor on which it will run.
-        program: What the process says of itself.
-        on_interrupt: What a SIGINT does first, if it does not stop the node yet; the node then ends
+        program: Description of the program, for `--help`.
+        on_interrupt: Function for a SIGINT that does not stop the node yet; the node then ends
             by itself. The next SIGINT counts as the first of those that stop it.
 
     Returns:

@@ -14,7 +14,7 @@ STEADY_CLOCK = Clock(clock_type=ClockType.STEADY_TIME)
 
 
 async def first_of(node: Node, *futures: Future, timeout: float) -> Future | None:
-    """The first of `futures` that is done, or None after `timeout` seconds."""
+    """Return the first of `futures` that is done, or None after `timeout` seconds."""
     signal: Future = Future(executor=node.executor)
 
     def notify(*_: object) -> None:

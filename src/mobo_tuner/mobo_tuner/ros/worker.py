@@ -12,7 +12,7 @@ from rclpy.task import Future
 
 # [s] of `sys.setswitchinterval`. Work that gives up the interpreter's lock for some microseconds at a
 # time, as a training does around its small array operations, wakes the executor's thread, has the
-# lock again before that thread runs, and so starts the interval anew: with the default of 5 ms, a
+# lock again before that thread runs, and so restarts the interval: with the default of 5 ms, a
 # cancel then took up to 2.5 s. It must be shorter than the work between two such operations.
 SWITCH_INTERVAL = 1e-5
 

@@ -1,9 +1,8 @@
-"""A rosbag2 folder that can be read at any moment, also after its writer was killed.
+"""A rosbag2 folder that is readable at any time, also after its writer was killed.
 
 The writer of `rosbags` keeps up to 1 MiB in memory and completes the file only when it is closed.
-Here each :meth:`BagWriter.flush` brings all messages to the file and ends it with a footer, which
-the next one overwrites, and renews `metadata.yaml`. So at most the messages since the last flush
-are lost with the process.
+Here each `BagWriter.flush` writes all messages and a footer, which the next flush overwrites, and updates
+`metadata.yaml`. So only the messages since the last flush are lost if the process is killed.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from rosbags.rosbag2.enums import CompressionMode
 from rosbags.rosbag2.metadata import dump_qos_v9
 from rosbags.rosbag2.storage_mcap import McapWriter
 
-# The records DataEnd and Footer, announcing no summary, and the closing magic.
+# The records DataEnd and Footer, without a summary, and the magic bytes at the end.
 _ENDING = b"".join(
     (
         b"\x0f" + (4).to_bytes(8, "little") + bytes(4),
@@ -32,9 +31,9 @@ _ENDING = b"".join(
 class BagWriter(Writer):
     """Writer of a rosbag2 folder with MCAP storage; open it before use, then close or abort it.
 
-    Messages must come in the order of their timestamps: a bag without its index is not sorted by
-    those who read it. Every method may raise OSError when the disk is full; :meth:`abort` then
-    leaves the bag as the last flush made it.
+    Messages must be written in the order of their timestamps, because readers do not sort a bag without
+    an index. Every method may raise OSError if the disk is full; `abort` then leaves the bag as of the
+    last flush.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -42,11 +41,11 @@ class BagWriter(Writer):
 
     @property
     def message_count(self) -> int:
-        """Messages written so far."""
+        """Number of messages written so far."""
         return sum(self.counts.values())
 
     def open(self) -> None:
-        """Make the folder, which must not exist, with a bag that holds nothing yet."""
+        """Create the folder, which must not exist, with an empty bag."""
         super().open()
         self.flush()
 
@@ -57,7 +56,7 @@ class BagWriter(Writer):
             self.flush()
 
     def flush(self) -> None:
-        """Make the folder readable as it stands."""
+        """Make all messages so far readable."""
         if self._storage.flush():
             self._write_metadata()
 
@@ -67,7 +66,7 @@ class BagWriter(Writer):
         return self.storage
 
     def _write_metadata(self) -> None:
-        """Write what `close` writes, as of now; in JSON, which is YAML written fast."""
+        """Write the metadata as `close` does; in JSON, which is valid YAML and fast to write."""
         count = self.message_count
         start = self.min_timestamp if count else 0
         span = {
@@ -121,7 +120,7 @@ class _Storage(McapWriter):
         self._end = -1  # of the data, without the ending, as of the last flush
 
     def flush(self) -> bool:
-        """Write what is pending and an ending; return whether there was anything."""
+        """Write pending data and an ending; return whether there was any."""
         if self.chunk.msgs:
             self.close_chunk()
         elif self.chunk.bio.tell():  # schemas and channels alone need no chunk
@@ -142,7 +141,7 @@ class _Storage(McapWriter):
         super().close(version, metadata)
 
     def abort(self) -> None:
-        """Close the file and leave in it what the last flush did."""
+        """Close the file as of the last flush."""
         with contextlib.suppress(OSError):
             self.bio.close()
         with self.path.open("r+b") as file:

@@ -1,7 +1,7 @@
-"""Message definitions and type hashes, as the installed interface packages hold them.
+"""Message definitions and type hashes of the installed interface packages.
 
-A bag carries them, so that its messages can be decoded where the packages are not installed. The
-text is that of the `.msg` files, comments and units included.
+A bag contains them, so that its messages can be decoded without the packages. The text is that of the
+`.msg` files, including comments and units.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class DefinitionError(LookupError):
 
 @dataclass(frozen=True)
 class Definition:
-    """What a bag stores of a message type.
+    """The data of a message type in a bag.
 
     `text` is its `.msg` file followed by those of all types that it uses, divided as rosbag2 does;
     `type_hash` is its hash after REP 2011, ``RIHS01_...``.
@@ -37,15 +37,15 @@ class Definition:
 
 
 def find_definition(type_name: str, prefixes: Sequence[Path] | None = None) -> Definition:
-    """The definition of a message type such as ``std_msgs/msg/String``.
+    """Return the definition of a message type such as ``std_msgs/msg/String``.
 
     Args:
-        type_name: of a message; types made for a service or an action have no definition here.
-        prefixes: installation prefixes, first come first served; where None, those of
+        type_name: Name of a message type, which does not belong to a service or an action.
+        prefixes: Installation prefixes in the order of their priority; None for those of
             AMENT_PREFIX_PATH and that of this Python.
 
     Raises:
-        DefinitionError: the type or one that it uses is not installed there, or is damaged.
+        DefinitionError: If the type or one that it uses is not installed there, or is damaged.
     """
     prefixes = default_prefixes() if prefixes is None else prefixes
     try:
@@ -105,7 +105,7 @@ def _names(kind: Any) -> list[str]:
 
 
 def default_prefixes() -> list[Path]:
-    """Where interface packages are installed: AMENT_PREFIX_PATH, then this Python's prefix."""
+    """Return the prefixes of interface packages: AMENT_PREFIX_PATH, then this Python's prefix."""
     listed = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     return [Path(prefix) for prefix in [*listed, sys.prefix] if prefix]
 

@@ -1,6 +1,6 @@
-"""What happened in a run, step by step, as its journal tells it: enough to replay the run.
+"""The history of a run from its journal, which is sufficient to replay the run.
 
-Nothing in a journal is trusted: what is not valid is named in one sentence.
+Nothing in a journal is trusted: invalid content is reported in one sentence.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from mobo_tuner.runs.records import (
 )
 
 SETPOINT, READBACK = "setpoint", "readback"
-"""What the models of a tuner learn from."""
+"""Input of the tuner's models."""
 
 INVALID_MEASUREMENT = 5
 """Error code of `EvaluateSetpoint.Result`: a diagnostic could not be measured."""
@@ -52,7 +52,7 @@ class History:
 
     @classmethod
     def from_records(cls, records: Sequence[JsonRecord]) -> History:
-        """Build it from the records of a journal; types that are not known are skipped.
+        """Return the history of a journal's records; unknown types are skipped.
 
         Raises:
             JournalError: If a record is not valid or does not follow from those before it.
@@ -123,13 +123,13 @@ class History:
 
     @property
     def budget(self) -> int:
-        """Evaluations that were allowed at the end; 0 if unknown."""
+        """Number of evaluations that were allowed at the end; 0 if unknown."""
         changes = self.changes
         return changes[-1].budget if changes else int(self.settings.get("budget", 0))
 
 
 class Told(NamedTuple):
-    """What an optimiser is told of an evaluation: the arguments of `Optimizer.tell`."""
+    """Arguments of `Optimizer.tell` for an evaluation."""
 
     setpoint: Values
     outputs: Mapping[str, Measured | None]
@@ -145,7 +145,7 @@ def told(
     error_code: int,
     model_input: str,
 ) -> Told:
-    """Return what an evaluation teaches; readbacks only where the models learn from them."""
+    """Return the arguments for an evaluation; readbacks only if the models learn from them."""
     outputs = dict(diagnostics)
     failed = _failed(problem, diagnostics, error_code)
     if model_input == SETPOINT:
@@ -157,7 +157,7 @@ def told(
 def _failed(problem: Problem, diagnostics: Measurements, error_code: int) -> bool | None:
     """Return whether the machine reported a failure; None lets the outputs decide.
 
-    If one diagnostic could not be measured, the others are learned all the same.
+    If one diagnostic could not be measured, the models still learn the others.
     """
     unknown = (math.nan, math.nan)
     measured = {
@@ -168,7 +168,7 @@ def _failed(problem: Problem, diagnostics: Measurements, error_code: int) -> boo
 
 
 def told_of(record: EvaluationRecord, problem: Problem, model_input: str) -> Told:
-    """Return what a recorded evaluation teaches about a problem."""
+    """Return the arguments for a recorded evaluation and a problem."""
     return told(
         problem,
         record.setpoint,

@@ -1,7 +1,7 @@
 """The journal of a run: one JSON object per line, on disk before the run continues.
 
-A run folder holds `journal.jsonl`; its report is made from it alone. What the records hold is defined in
-`records`. The JSON is strict: a number that is not finite is written as null.
+A run's folder contains `journal.jsonl`, from which its report is made. `records` defines the records. The
+JSON is strict: a number that is not finite is written as null.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from mobo_tuner.errors import UserError
 
 FILE_NAME = "journal.jsonl"
-MAX_BYTES = 1 << 30  # of a journal that is read: half a million evaluations
+MAX_BYTES = 1 << 30  # largest journal that is read: half a million evaluations
 
 JsonRecord = dict[str, Any]
 
@@ -30,7 +30,7 @@ class JournalError(UserError):
 
 
 class Journal:
-    """An append-only journal, open for writing; build one with :meth:`create`.
+    """An append-only journal, open for writing; `create` returns one.
 
     Attributes:
         path: Path of the file.
@@ -44,14 +44,14 @@ class Journal:
 
     @classmethod
     def create(cls, run_dir: str | Path, records: Sequence[Mapping[str, Any]]) -> Journal:
-        """Start the journal of a run in its folder, which is made if it is missing.
+        """Start the journal of a run in its folder, which is created if it is missing.
 
         Args:
             run_dir: Folder of the run.
             records: Its start record, and the records taken over from the run that it resumes.
 
         Raises:
-            FileExistsError: If the folder holds a journal already.
+            FileExistsError: If the folder already contains a journal.
             OSError: If the folder or the file cannot be written.
             ValueError: If a record cannot be written as JSON.
         """
@@ -59,7 +59,7 @@ class Journal:
         folder = Path(run_dir)
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / FILE_NAME
-        # Whoever reads a journal finds its start in it, whenever the writer was killed.
+        # A journal always contains its start, whenever its writer is killed.
         draft = folder / f".{FILE_NAME}.{os.getpid()}"
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_CLOEXEC
         journal = cls(path, os.open(draft, flags, 0o644))
@@ -78,7 +78,7 @@ class Journal:
         """Write one record; it is on disk when this returns.
 
         Raises:
-            OSError: If it could not be written; the journal then holds nothing of it.
+            OSError: If it could not be written; the journal then contains no part of it.
             ValueError: If the record has no type, cannot be written as JSON, or the journal is closed.
         """
         if not isinstance(record.get("type"), str):
@@ -86,7 +86,7 @@ class Journal:
         self._write(journal_line(record))
 
     def close(self) -> None:
-        """Close the file; may be called again."""
+        """Close the file; repeated calls have no effect."""
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
@@ -107,7 +107,7 @@ class Journal:
                     rest = rest[os.write(self._descriptor, rest) :]
                 os.fsync(self._descriptor)
             except OSError:
-                # Half a line would spoil the next one.
+                # An incomplete line would corrupt the next one.
                 with contextlib.suppress(OSError):
                     os.ftruncate(self._descriptor, self._size)
                 raise
@@ -117,13 +117,13 @@ class Journal:
 def read_journal(path: str | Path) -> list[JsonRecord]:
     """Read a journal's records in order.
 
-    A last line that is incomplete or damaged is left out: that is how a killed process leaves it.
+    An incomplete or damaged last line is ignored, because a killed process may leave one.
 
     Args:
-        path: of the journal, or of the run folder that holds it.
+        path: Path of the journal, or of its run's folder.
 
     Raises:
-        JournalError: it cannot be read, an earlier line is no record, or the first is no start.
+        JournalError: If it cannot be read, an earlier line is not a record, or the first is not a start.
     """
     file = Path(path)
     if file.is_dir():
@@ -138,10 +138,10 @@ def read_journal(path: str | Path) -> list[JsonRecord]:
 
 
 def parse_journal(content: bytes, name: str) -> list[JsonRecord]:
-    """The records in the lines of a journal; `name` says in complaints where they come from.
+    """Return the records in the lines of a journal; `name` is its name in errors.
 
     Raises:
-        JournalError: a line but the last is no record, or the first is no start.
+        JournalError: If a line before the last is not a record, or the first is not a start.
     """
     lines = content.split(b"\n")
     while lines and not lines[-1].strip():
@@ -167,17 +167,17 @@ def _record(line: bytes) -> JsonRecord | None:
 
 
 def journal_line(record: Mapping[str, Any]) -> bytes:
-    """A record as it stands in a journal, its line break included.
+    """Return a record as a line of a journal, including the line break.
 
     Raises:
-        ValueError: it cannot be written as JSON.
+        ValueError: If it cannot be written as JSON.
     """
     text = json.dumps(_strict(record), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return text.encode() + b"\n"
 
 
 def _strict(value: Any) -> Any:
-    """The value as strict JSON can hold it."""
+    """Return the value for strict JSON."""
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     if isinstance(value, Mapping):
@@ -192,10 +192,10 @@ def _strict(value: Any) -> Any:
 
 
 def _put(draft: Path, path: Path) -> None:
-    """Give a finished file its name, which nothing may have yet.
+    """Rename a finished file to a name that must not exist.
 
     Raises:
-        FileExistsError: something has that name.
+        FileExistsError: If the name exists.
     """
     try:
         os.link(draft, path)
@@ -208,7 +208,7 @@ def _put(draft: Path, path: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make a new file's name last through a power cut, where the file system can."""
+    """Sync the name of a new file to disk, if the file system supports it."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         with contextlib.suppress(OSError):

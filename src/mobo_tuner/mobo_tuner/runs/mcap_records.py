@@ -1,10 +1,10 @@
-"""The messages in an MCAP file, one after another from its beginning, as far as they go.
+"""The messages in an MCAP file, read from its beginning as far as possible.
 
-The index and the footer at the file's end are not needed: a file that was cut off anywhere, also in
-the middle of a chunk, gives all messages that are whole. Nothing in the file is trusted: sizes are
-checked against what is there before anything is read.
+The index and the footer at the end are not needed: all complete messages are read from a file that was
+cut off anywhere, also within a chunk. Nothing in the file is trusted: sizes are compared with the
+remaining bytes before reading.
 
-The format is that of https://mcap.dev/spec.
+The format is specified at https://mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ import lz4.frame  # type: ignore[import-untyped]
 from backports import zstd
 
 MAGIC = b"\x89MCAP0\r\n"
-MAX_RECORD = 1 << 28  # bytes of a record that is looked at, decompressed or not
+MAX_RECORD = 1 << 28  # bytes; larger records, compressed or not, are skipped
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
 
 
 class McapError(ValueError):
-    """A file that is no MCAP file; the message is one sentence for the user."""
+    """A file that is not an MCAP file; the message is one sentence for the user."""
 
 
 class Schema(NamedTuple):
@@ -37,7 +37,7 @@ class Schema(NamedTuple):
 
 
 class Message(NamedTuple):
-    """A message as it stands in a bag: topic, type, time of its receipt [ns], CDR bytes."""
+    """A message in a bag: topic, type, time of its receipt [ns], CDR bytes."""
 
     topic: str
     schema: Schema
@@ -46,19 +46,19 @@ class Message(NamedTuple):
 
 
 class _Damaged(Exception):  # noqa: N818 - never leaves this module
-    """The file goes on no further from here."""
+    """The rest of the file cannot be read."""
 
 
 def read_messages(path: Path) -> Iterator[Message]:
-    """Every whole message of an MCAP file, in the order of the file.
+    """Yield every complete message of an MCAP file, in the order of the file.
 
     Raises:
-        McapError: it cannot be read or does not begin as an MCAP file does.
+        McapError: If it cannot be read or does not start like an MCAP file.
     """
     try:
         with path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
-                raise McapError(f"'{path}' is no MCAP file")
+                raise McapError(f"'{path}' is not an MCAP file")
             yield from _Reader().messages(file, os.fstat(file.fileno()).st_size)
     except OSError as error:
         raise McapError(f"'{path}' cannot be read: {error.strerror}") from None
@@ -70,7 +70,7 @@ class _Reader:
         self._channels: dict[int, tuple[str, Schema]] = {}
 
     def messages(self, file: BinaryIO, size: int, depth: int = 0) -> Iterator[Message]:
-        """The messages of a file or of a chunk's inside, `size` bytes long."""
+        """Yield the messages of a file or of the content of a chunk, of `size` bytes."""
         while True:
             head = file.read(9)
             if len(head) < 9:
@@ -85,7 +85,7 @@ class _Reader:
             content = file.read(present)
             try:
                 if code == _CHUNK:
-                    if depth == 0:  # a chunk in a chunk is not allowed
+                    if depth == 0:  # nested chunks are not allowed
                         inside = _inside(content, whole=present == length)
                         yield from self.messages(BytesIO(inside), len(inside), depth=1)
                 elif present < length:
@@ -93,7 +93,7 @@ class _Reader:
                 elif (message := self._take(code, content)) is not None:
                     yield message
             except (_Damaged, struct.error, UnicodeDecodeError):
-                continue  # the next record may be whole
+                continue  # the next record may be complete
 
     def _take(self, code: int, content: bytes) -> Message | None:
         """Remember a schema or a channel; return a message."""
@@ -118,7 +118,7 @@ class _Reader:
 
 
 def _inside(content: bytes, *, whole: bool) -> bytes:
-    """The records of a chunk, decompressed; of one that was cut off, what is there of them."""
+    """Return the decompressed records of a chunk; those that exist if it was cut off."""
     size, _ = struct.unpack_from("<QI", content, 16)
     compression, offset = _string(content, 28)
     offset += 8
@@ -145,7 +145,7 @@ def _decompress(compression: str, data: bytes, size: int) -> bytes:
 
 
 def _string(content: bytes, offset: int) -> tuple[str, int]:
-    """A string and where it ends."""
+    """Return a string and the offset of its end."""
     (length,) = struct.unpack_from("<I", content, offset)
     start = offset + 4
     if length > len(content) - start:

@@ -1,6 +1,6 @@
-"""A run's journal rebuilt from its bag alone, also where the bag was cut off.
+"""Rebuilding of a run's journal from its bag, which may be incomplete.
 
-`python -m mobo_tuner.runs.rebuild BAG RUN_FOLDER` writes `journal.jsonl` into a folder that has none.
+`python -m mobo_tuner.runs.rebuild BAG RUN_FOLDER` writes `journal.jsonl` into a folder without one.
 
 `RunRecords` messages carry how the run was set up and changed, `Evaluation` what was measured, and `TunerStatus` how
 the run ended. Without the first, the problem is that of the `Problem` messages, and the settings of the tuner are
@@ -223,8 +223,8 @@ def write_run(records: Sequence[JsonRecord], run_dir: Path) -> None:
     """Write the journal of a rebuilt run.
 
     Raises:
-        FileExistsError: there is one already.
-        OSError: it cannot be written.
+        FileExistsError: If there is one already.
+        OSError: If it cannot be written.
     """
     Journal.create(run_dir, records).close()
 

@@ -1,7 +1,7 @@
-"""A run lived through again: the optimiser as it was, and whether it asks what was asked then.
+"""Replay of a run: the optimiser after any step, and a comparison of all suggestions.
 
-`python -m mobo_tuner.runs.replay RUN` asks for every suggestion of a run anew, from its folder or its
-bag alone, and says whether they are the same to the last bit.
+`python -m mobo_tuner.runs.replay RUN` computes every suggestion of a run again, from its folder or its
+bag, and prints whether they are the same bit for bit.
 """
 
 from __future__ import annotations
@@ -61,12 +61,13 @@ def take_step(optimizer: Optimizer, step: Step, model_input: str) -> Optimizer:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What was asked in a run, and what is asked when it is lived through again.
+    """Suggestion of a run, and the suggestion of its replay.
 
     Attributes:
-        index: of the evaluation.
-        source: where its set-point came from.
-        then, now: the set-points; an operator's is not compared.
+        index: Index of the evaluation.
+        source: Source of the set-point.
+        then: Set-point in the run; an operator's is not compared.
+        now: Set-point in the replay.
     """
 
     index: int
@@ -76,12 +77,12 @@ class Comparison:
 
     @property
     def differs(self) -> bool:
-        """Whether another set-point is asked for."""
+        """Whether the set-points differ."""
         return self.source != "operator" and dict(self.then) != dict(self.now)
 
 
 def compare(history: History) -> list[Comparison]:
-    """Live through a run and ask for each of its suggestions.
+    """Replay a run and compute each of its suggestions.
 
     Raises:
         JournalError: If the settings are unknown.
@@ -112,7 +113,7 @@ def records_of(path: Path, run_id: str | None = None) -> list[JsonRecord]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Compare one run; return 0 where every suggestion is the same, else 1."""
+    """Compare one run; return 0 if every suggestion is the same, else 1."""
     parser = argparse.ArgumentParser(prog="mobo_tuner.runs.replay", description="Replay of a run.")
     parser.add_argument("run", type=Path, help="run folder, journal, folder or file of a bag")
     parser.add_argument("--of", help="name of the run, if the bag holds several")
@@ -125,8 +126,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     compared = [c for c in comparisons if c.source != "operator"]
     different = [c for c in compared if c.differs]
     print(
-        f"{len(comparisons)} evaluations, {len(compared)} suggestions asked for again, "
-        f"{len(compared) - len(different)} the same to the last bit"
+        f"{len(comparisons)} evaluations, {len(compared)} suggestions computed again, "
+        f"{len(compared) - len(different)} identical bit for bit"
     )
     for comparison in different[:5]:
         print(f"  {comparison.index}: then {dict(comparison.then)}")

@@ -1,7 +1,7 @@
-"""The configuration of a run that goes on with an earlier one.
+"""The parameter file of a run that resumes an earlier one.
 
-`python -m mobo_tuner.runs.resume_config RUN_FOLDER OUT [--config FILE] [--evaluations N]` writes it and
-prints one sentence and exits with 2 where the run cannot be gone on with so.
+`python -m mobo_tuner.runs.resume_config RUN_FOLDER OUT [--config FILE] [--evaluations N]` writes it, or
+prints one sentence and exits with status 2 if the run cannot be resumed this way.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ CONFIG_FILE = "config.yaml"
 
 
 def resume_config(run_dir: Path, config: Path | None, evaluations: int | None) -> bytes:
-    """The content of the configuration.
+    """Return the content of the parameter file.
 
     Args:
-        run_dir: the folder of the earlier run.
-        config: with other bounds, objectives or constraints; where None, the earlier run's own,
-            with the problem as it was in the end.
-        evaluations: the budget; None for that of the earlier run.
+        run_dir: Folder of the earlier run.
+        config: Parameter file with other bounds, objectives or constraints; None for that of the
+            earlier run, with the problem of its end.
+        evaluations: Budget; None for that of the earlier run.
 
     Raises:
-        JournalError: the earlier run cannot be read.
-        ProblemError: it cannot be gone on with like this.
+        JournalError: If the earlier run cannot be read.
+        ProblemError: If it cannot be resumed this way.
     """
     history = History.from_records(read_journal(run_dir))
     history.require_settings()
@@ -71,12 +71,12 @@ def resume_config(run_dir: Path, config: Path | None, evaluations: int | None) -
 
 
 def _check(content: Mapping[str, Any], history: History) -> None:
-    """Refuse what cannot be changed."""
+    """Reject changes that are not possible."""
     problem = Problem.from_dict(content)
     names, allowed = problem.variable_names, history.problem.variable_names
     if set(names) != set(allowed):
         raise ProblemError(
-            f"the variables are {', '.join(names)}; a run that goes on with '{history.run_id}' "
+            f"the variables are {', '.join(names)}; a run that resumes '{history.run_id}' "
             f"must have {', '.join(allowed)}"
         )
     given = dict(flat(node_sections(content).get("tuner", {})))
@@ -84,7 +84,7 @@ def _check(content: Mapping[str, Any], history: History) -> None:
 
 
 def _check_kept(given: Mapping[str, Any], history: History) -> None:
-    """Refuse another method, or other values for the models to learn from."""
+    """Reject another method or another input of the models."""
     recorded = kept_settings(history.settings)
     recorded |= method_of(history.settings).to_dict()
     recorded.update(flat({"maximizer_settings": recorded.pop("maximizer_settings")}))
@@ -101,7 +101,7 @@ def _check_kept(given: Mapping[str, Any], history: History) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write one configuration; return the exit status."""
+    """Write one parameter file; return the exit status."""
     parser = argparse.ArgumentParser(prog="mobo_tuner.runs.resume_config", description=__doc__)
     parser.add_argument("run_folder", type=Path)
     parser.add_argument("out", type=Path)
@@ -115,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(error, file=sys.stderr)
         return 2
     except (OSError, ValueError) as error:
-        print(f"the configuration cannot be made: {error}", file=sys.stderr)
+        print(f"the parameter file cannot be written: {error}", file=sys.stderr)
         return 2
     return 0
 

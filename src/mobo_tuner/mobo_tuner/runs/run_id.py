@@ -1,4 +1,4 @@
-"""Names of runs: they become folder names, so they are confined to harmless characters."""
+"""Ids of runs, which only have characters that are safe in names of folders."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ _PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
 
 
 def check_run_id(run_id: str) -> str:
-    """The run id itself.
+    """Check a run id and return it.
 
     Raises:
-        ValueError: it is not allowed as the name of a folder.
+        ValueError: If it is not allowed as the name of a folder.
     """
     if not _PATTERN.fullmatch(run_id):
         raise ValueError(
@@ -24,5 +24,5 @@ def check_run_id(run_id: str) -> str:
 
 
 def new_run_id(label: str) -> str:
-    """A fresh run id that starts with the local time, so that runs sort by age."""
+    """Return a new run id that starts with the local time, so that runs are sorted by age."""
     return f"{datetime.now():%Y%m%d-%H%M%S}-{label}-{secrets.token_hex(4)}"

@@ -1,4 +1,4 @@
-"""What is kept of a run while it continues: the journal, the optimiser's state, and the outline."""
+"""The records of an active run: the journal, the optimiser's state, and the outline."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class RunLog:
         earlier: Records taken over from the run that this one resumes.
 
     Raises:
-        FileExistsError: If the folder holds a journal already.
+        FileExistsError: If the folder already contains a journal.
         OSError: If the journal cannot be written.
     """
 
@@ -43,7 +43,7 @@ class RunLog:
     def outline(self) -> str:
         """Start record and changes so far, one line of JSON each.
 
-        With the evaluations, the run can be rebuilt from it.
+        The run can be rebuilt from it and the evaluations.
         """
         return "".join(self._lines)
 
@@ -74,7 +74,7 @@ class RunLog:
             saved.write(self._run_dir)
 
     def close(self) -> None:
-        """Close the journal; may be called again."""
+        """Close the journal; repeated calls have no effect."""
         if self._journal is not None:
             self._journal.close()
 

@@ -1,8 +1,8 @@
-"""The optimiser's state beside the journal, so that going on with a run needs no replay of it.
+"""The optimiser's state beside the journal, so that a run is resumed without a replay.
 
-`optimizer.json` holds two lines: the state, without the evaluations, which the journal holds, and a
-checksum of it. Its size does not grow with the run. It may be missing, damaged or late by a few
-evaluations: then the journal makes up for it.
+`optimizer.json` has two lines: the state without the evaluations, which are in the journal, and its
+checksum. Its size does not grow with the run. If it is missing, damaged or behind by some evaluations,
+the journal is replayed from there.
 """
 
 from __future__ import annotations
@@ -25,12 +25,13 @@ MAX_BYTES = 1 << 26
 
 @dataclass(frozen=True)
 class SavedState:
-    """A state and the place in its run to which it belongs.
+    """A state and its position in its run.
 
     Attributes:
-        run_id: of the run.
-        evaluations, changes: how many of each the optimiser had seen.
-        state: from `Optimizer.get_state`, without the evaluations.
+        run_id: Id of the run.
+        evaluations: Number of evaluations that the optimiser had seen.
+        changes: Number of changes that it had seen.
+        state: State from `Optimizer.get_state`, without the evaluations.
     """
 
     run_id: str
@@ -39,12 +40,12 @@ class SavedState:
     state: Mapping[str, Any]
 
     def write(self, run_dir: Path) -> None:
-        """Write it into a run's folder, in place of an older one.
+        """Write it into a run's folder, replacing an older one.
 
-        It is not forced to disk: after a power cut the journal is there, and it suffices.
+        It is not synced to disk, because the journal suffices after a power cut.
 
         Raises:
-            OSError: it cannot be written.
+            OSError: If it cannot be written.
         """
         text = json.dumps(
             {
@@ -58,7 +59,7 @@ class SavedState:
 
     @classmethod
     def read(cls, run_dir: Path) -> SavedState | None:
-        """Read it from a run's folder; None where there is none that is whole."""
+        """Read it from a run's folder; return None if there is no valid one."""
         path = run_dir / FILE_NAME
         try:
             if path.stat().st_size > MAX_BYTES:
@@ -74,9 +75,9 @@ class SavedState:
             return None
 
     def revive(self, history: History) -> tuple[Optimizer, int] | None:
-        """The optimiser at this state, and how many steps of the history it has seen.
+        """Return the optimiser at this state, and the number of steps that it has seen.
 
-        None where the state does not belong to the history.
+        Returns None if the state does not belong to the history.
         """
         position = self._position(history)
         if position is None:
@@ -92,11 +93,11 @@ class SavedState:
             if Problem.from_dict(self.state["problem"]) != problem:
                 return None
             return Optimizer.from_state({**self.state, "evaluations": evaluations}), position
-        except Exception:  # whatever is wrong with it, the history says what is right
+        except Exception:  # an invalid state is replaced by a replay
             return None
 
     def _position(self, history: History) -> int | None:
-        """How many steps of the history the state has seen."""
+        """Return the number of steps of the history that the state has seen."""
         if self.run_id != history.run_id:
             return None
         evaluations = changes = 0
@@ -109,5 +110,5 @@ class SavedState:
 
 
 def checksum(text: bytes) -> bytes:
-    """What stands below a state, by which it is known to be whole."""
+    """Return the checksum of a state."""
     return hashlib.sha256(text).hexdigest().encode()
