@@ -8,6 +8,7 @@ optimiser. Xopt runs with its defaults, BoTorch with the settings of its own tut
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import time
 import warnings
@@ -31,6 +32,7 @@ from scipy.stats import qmc
 from xopt.generators.bayesian.mobo import MOBOGenerator
 
 from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.core.hypervolume import hypervolume
 
 N_VARIABLES = 6
 REFERENCE = 2.0
@@ -120,10 +122,12 @@ def botorch(n_objectives: int) -> Suggester:
 PEERS: dict[str, Callable[[int], Suggester]] = {"xopt": xopt, "botorch": botorch}
 
 
-def suggestion_times(
+def suggestions(
     suggest: Suggester, n: int, n_objectives: int, limit: float
-) -> Iterator[float]:
+) -> Iterator[tuple[float, float]]:
     """Yield the CPU time of consecutive suggestions [s] until their sum exceeds a limit.
+
+    The second value is the hypervolume of all points, as a share of that of the true front.
 
     Args:
         suggest: Optimiser.
@@ -133,14 +137,17 @@ def suggestion_times(
     """
     x = qmc.LatinHypercube(N_VARIABLES, seed=np.random.default_rng(1)).random(n)
     y = np.array([dtlz2(row, n_objectives) for row in x])
+    # The true front is the part of the unit sphere with positive coordinates.
+    sphere = math.pi ** (n_objectives / 2) / math.gamma(n_objectives / 2 + 1)
+    volume = REFERENCE**n_objectives - sphere / 2**n_objectives
     spent = 0.0
     while spent < limit:
         started = time.process_time()
         candidate = suggest(x, y)
         seconds = time.process_time() - started
         spent += seconds
-        yield seconds
         x, y = np.vstack([x, candidate]), np.vstack([y, dtlz2(candidate, n_objectives)])
+        yield seconds, hypervolume(y, np.full(n_objectives, REFERENCE)) / volume
 
 
 def main() -> None:
@@ -167,21 +174,21 @@ def main() -> None:
     warnings.simplefilter("ignore")
     torch.set_num_threads(1)
     torch.set_default_dtype(torch.float64)
-    list(zip(range(3), suggestion_times(ours(2), 8, 2, 60.0), strict=False))  # warm-up: compilation
+    list(zip(range(3), suggestions(ours(2), 8, 2, 60.0), strict=False))  # warm-up: compilation
 
     names = ["ours", *options.peers]
-    print(f"CPU time of a suggestion [s]: {', '.join(names)}; speed-up of ours over each peer")
+    print(f"{', '.join(names)}: median CPU time of a suggestion [s], and hypervolume after them")
     for case in options.cases:
         n_objectives, n = (int(word) for word in case.split(":"))
-        medians = []
-        for make in (ours, *(PEERS[name] for name in options.peers)):
-            times = suggestion_times(make(n_objectives), n, n_objectives, options.limit)
-            taken = [seconds for _, seconds in zip(range(options.suggestions), times, strict=False)]
-            medians.append(float(np.median(taken)))
-        own, *others = medians
-        ratios = ", ".join(f"{other / own:.0f}" for other in others)
-        numbers = " ".join(f"{value:8.3f}" for value in medians)
-        print(f"P={n_objectives} n={n:3d}  {numbers}   {ratios}", flush=True)
+        for make, name in zip((ours, *(PEERS[name] for name in options.peers)), names, strict=True):
+            made = suggestions(make(n_objectives), n, n_objectives, options.limit)
+            taken = [step for _, step in zip(range(options.suggestions), made, strict=False)]
+            seconds = float(np.median([seconds for seconds, _ in taken]))
+            print(
+                f"P={n_objectives} n={n:3d} {name:>8} {seconds:8.3f} s, "
+                f"{taken[-1][1]:.4f} after {len(taken)} suggestions",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

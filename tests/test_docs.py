@@ -42,3 +42,14 @@ def test_every_field_and_constant_is_described_and_every_number_has_its_unit(pat
             assert description.endswith("."), f"{line} has no description"
             if declaration.startswith("float"):
                 assert re.search(r"\[.+\]", description), f"{line} has no unit"
+
+
+def test_one_evaluation_passes_through_the_listed_files() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    section = text.split("## One evaluation")[1].split("\n## ")[0]
+    listed = re.findall(r"^\|[^|`]*\| `([^`]+)` \|", section, flags=re.MULTILINE)
+    assert 15 < len(listed) <= 24
+    assert len({*listed}) == len(listed)
+    folders = [ROOT / "src" / name for name in ("mobo_tuner/mobo_tuner", "mobo_msgs_py", "")]
+    for file in {*listed, *re.findall(r"`((?:\w+/)+\w+\.\w+)`", section)} - {"tests/test_docs.py"}:
+        assert any((folder / file).is_file() for folder in folders), f"{file} does not exist"

@@ -53,17 +53,8 @@ CLOCK = Topic(
     NODE,
     "Simulated time; only with `publish_clock`.",
 )
-TOPICS = (
-    SETPOINT,
-    READBACK,
-    SETTLED,
-    BEAM,
-    INTERLOCK,
-    MODEL_UNCERTAINTY,
-    TRUTH,
-    CLOCK,
-)
-
 STOP = Service("stop", Trigger, NODE, "Stops the current move; the machine holds its position.")
 CLEAR_INTERLOCK = Service("clear_interlock", Trigger, NODE, "Clears the interlock.")
-SERVICES = (STOP, CLEAR_INTERLOCK)
+
+TOPICS = tuple(item for item in list(globals().values()) if isinstance(item, Topic))
+SERVICES = tuple(item for item in list(globals().values()) if isinstance(item, Service))

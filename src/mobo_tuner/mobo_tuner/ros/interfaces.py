@@ -199,19 +199,6 @@ DIAGNOSTICS = Topic(
     "tuner, recorder, machine",
     "Health of the node's parts, at 1 Hz.",
 )
-TOPICS = (
-    PROBLEM,
-    RUN_RECORDS,
-    EVALUATION,
-    LATEST_EVALUATION,
-    PARETO_FRONT,
-    STATUS,
-    PLOT,
-    HEARTBEAT,
-    RECORDER_STATUS,
-    DIAGNOSTICS,
-)
-
 PAUSE = Service("pause", Trigger, "tuner", "Pauses the run after the current evaluation.")
 RESUME = Service("resume", Trigger, "tuner", "Continues a paused run.")
 STEP = Service("step", Trigger, "tuner", "Does one evaluation of a paused run.")
@@ -243,19 +230,6 @@ DESCRIBE_MACHINE = Service(
     "machine",
     "Returns the machine's variables and diagnostics.",
 )
-SERVICES = (
-    PAUSE,
-    RESUME,
-    STEP,
-    SKIP,
-    STOP_AFTER_THIS,
-    QUEUE_SETPOINT,
-    LIST_WORKING_POINTS,
-    ASK,
-    TELL,
-    DESCRIBE_MACHINE,
-)
-
 TUNE = Action("tune", action.Tune, "tuner", "Carries out a run.")
 GO_TO_WORKING_POINT = Action(
     "go_to_working_point",
@@ -275,4 +249,7 @@ APPLY_SETPOINT = Action(
     "machine",
     "Moves the machine to a set-point without a measurement.",
 )
-ACTIONS = (TUNE, GO_TO_WORKING_POINT, EVALUATE_SETPOINT, APPLY_SETPOINT)
+
+TOPICS = tuple(item for item in list(globals().values()) if isinstance(item, Topic))
+SERVICES = tuple(item for item in list(globals().values()) if isinstance(item, Service))
+ACTIONS = tuple(item for item in list(globals().values()) if isinstance(item, Action))
