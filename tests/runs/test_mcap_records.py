@@ -108,7 +108,7 @@ def test_spoilt_bytes_never_raise_and_keep_to_the_types_there_are(
 
 def test_what_is_no_mcap_file_is_refused_in_a_sentence(tmp_path: Path) -> None:
     for content in (b"", b"\x89MCAP", b"SQLite format 3\x00" * 10):
-        with pytest.raises(McapError, match=r"file\.mcap' is no MCAP file"):
+        with pytest.raises(McapError, match=r"file\.mcap' is not an MCAP file"):
             read(tmp_path, content)
     with pytest.raises(McapError, match="cannot be read: No such file"):
         list(read_messages(tmp_path / "missing.mcap"))

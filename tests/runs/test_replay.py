@@ -146,7 +146,7 @@ def test_replay_says_whether_the_suggestions_are_the_same(
     said = capsys.readouterr().out
     operators = sum(e.source == "operator" for e in history_of(folder / "run").evaluations)
     count = LENGTH - operators
-    assert f"{count} suggestions asked for again, {count} the same" in said
+    assert f"{count} suggestions computed again, {count} identical" in said
 
     lines = (folder / "run" / FILE_NAME).read_text().splitlines()
     number, record = next(

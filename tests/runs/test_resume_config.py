@@ -94,7 +94,7 @@ def test_settings_that_a_run_keeps_may_be_given_again(folder: Path, tuner: dict[
     [
         (
             {"/**": {"ros__parameters": {**TOY, "variables": {"x1": {"min": 0.0, "max": 1.0}}}}},
-            "the variables are x1; a run that goes on with 'earlier' must have x1, x2",
+            "the variables are x1; a run that resumes 'earlier' must have x1, x2",
         ),
         (
             {"tuner": {"ros__parameters": {"preset": "paper"}}},

@@ -78,7 +78,7 @@ def test_a_run_whose_tuner_was_killed_goes_on_and_is_rebuilt_from_its_bag(
     assert (facts["resumed_from"], facts["state"]) == ("run", "finished")
     # What is asked for after the kill is what a run that was never killed asks for.
     out, _ = mobo("replay", run.folder)
-    assert "12 evaluations, 12 suggestions asked for again, 12 the same to the last bit" in out
+    assert "12 evaluations, 12 suggestions computed again, 12 identical bit for bit" in out
     told_again = mcap_messages(run.folder / "bag", "/evaluation")
     assert [(m.run_id, m.index) for m in told_again] == [("more", i) for i in range(12)]
 
@@ -101,7 +101,7 @@ def test_a_run_whose_tuner_was_killed_goes_on_and_is_rebuilt_from_its_bag(
     assert 0 < len(cut) <= 12
     assert cut == run.evaluations()[: len(cut)]
     out, _ = mobo("replay", bag)
-    assert "12 the same to the last bit" in out
+    assert "12 identical bit for bit" in out
 
 
 def test_bounds_constraints_and_objectives_may_change_when_a_killed_run_goes_on(
@@ -129,7 +129,7 @@ def test_bounds_constraints_and_objectives_may_change_when_a_killed_run_goes_on(
     later = run.evaluations()[len(told) :]
     assert len(later) == 10 - len(told)
     assert all(-1.5 <= r["setpoint"]["x1"] <= 1.5 for r in later)
-    assert "the same to the last bit" in mobo("replay", run.folder)[0]
+    assert "identical bit for bit" in mobo("replay", run.folder)[0]
     summary = json.loads((run.folder / "summary.json").read_text())
     assert summary["reference_point"] == {"f1": 4.3, "f2": 3.5}
     out, _ = mobo("show", run.folder)
@@ -166,8 +166,8 @@ def spoilt(tmp_path: Path) -> Path:
         ("resume ../../etc", "there is no run '../../etc'"),
         ("report broken", "does not begin with a start record"),
         ("replay broken", "does not begin with a start record"),
-        ("replay {0}/noise.mcap", "is no MCAP file"),
-        ("rebuild {0}/noise.mcap", "is no MCAP file"),
+        ("replay {0}/noise.mcap", "is not an MCAP file"),
+        ("rebuild {0}/noise.mcap", "is not an MCAP file"),
         ("rebuild {0}/empty.mcap", "holds no run with its problem"),
         ("rebuild {0}/nowhere", "cannot be read: No such file"),
         ("rebuild {0}/runs/empty", "holds no MCAP file and no SQLite file"),
