@@ -96,7 +96,9 @@ def changed(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """A copy of the project with one change of the manual."""
     [diff] = re.findall(rf"^```diff {request.param}\n(.*?)^```", MANUAL, re.MULTILINE | re.DOTALL)
     for name in COPIED:
-        if (ROOT / name).is_dir():
+        if (ROOT / name).is_symlink():
+            (tmp_path / name).symlink_to((ROOT / name).readlink())
+        elif (ROOT / name).is_dir():
             ignored = shutil.ignore_patterns("__pycache__", "build", "*.csv", "images")
             shutil.copytree(ROOT / name, tmp_path / name, ignore=ignored)
         else:

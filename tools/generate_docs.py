@@ -135,7 +135,10 @@ def _type(kind: type) -> str:
 
 
 def _node(node: str) -> str:
-    return node if node in ("machine", "clients") else f"`{node}`"
+    names = (
+        f"`{name}`" if name not in ("machine", "clients") else name for name in node.split(", ")
+    )
+    return ", ".join(names)
 
 
 def _interface(text: str, parts: tuple[str, ...]) -> list[str]:

@@ -111,7 +111,7 @@ def test_paths_that_fit_are_accepted() -> None:
         check_readable(kind, parse_field_path(path))
     check_time(JointState, parse_field_path("header.stamp"))
     check_boolean(SetParameters.Response, parse_field_path("results[0].successful"))
-    with pytest.raises(FieldError, match="Time is needed"):
+    with pytest.raises(FieldError, match="Time is required"):
         check_time(JointState, parse_field_path("header"))
     with pytest.raises(FieldError, match="a boolean is required"):
         check_boolean(JointState, parse_field_path("position[0]"))
@@ -168,7 +168,7 @@ def test_messages_are_filled_as_a_file_says() -> None:
         (JointState(), {"name": "a"}, "name is str; it must be an array of text"),
         (JointState(), {"name": [1]}, "name[0] is int; it must be text"),
         (JointState(), {"header": 1}, "header is int; it must be std_msgs/msg/Header"),
-        (JointState(), {"header": {"stamp": {"sec": 1.5}}}, "sec is 1.5; it must be a whole"),
+        (JointState(), {"header": {"stamp": {"sec": 1.5}}}, "sec is 1.5; it must be an integer"),
         (Time(), {"nanosec": -1}, "nanosec would be -1; uint32 takes 0 to"),
         (Float64(), {"data": True}, "data is bool; it must be double"),
         (PoseWithCovariance(), {"covariance": [0.0]}, "covariance has 1 elements; it is an array"),
