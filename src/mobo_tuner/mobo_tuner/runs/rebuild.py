@@ -244,8 +244,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Rebuild one run; return the exit status."""
     parser = argparse.ArgumentParser(prog="mobo_tuner.runs.rebuild", description="Run from a bag.")
     parser.add_argument("bag", type=Path, help="folder of the bag, or one of its files")
-    parser.add_argument("run_folder", type=Path, help="where the journal is written")
-    parser.add_argument("--of", help="which run, where the bag holds several")
+    parser.add_argument("run_folder", type=Path, help="folder for the journal")
+    parser.add_argument("--of", help="id of the run, if the bag has several")
     options = parser.parse_args(arguments)
     try:
         records = records_of_bag(options.bag, options.of)

@@ -86,7 +86,7 @@ def compare(history: History) -> list[Comparison]:
 
     Raises:
         JournalError: If the settings are unknown.
-        ProblemError: the history cannot have happened.
+        ProblemError: If the history is contradictory.
     """
     history.require_settings()
     optimizer = make_optimizer(history.problem, history.settings)
