@@ -111,7 +111,7 @@ class NodeStarter:
 
     Attributes:
         folder: Folder of the files.
-        processes: All processes that were started; whoever made the starter ends them.
+        processes: All processes that were started; the owner of the starter ends them.
     """
 
     folder: Path

@@ -21,7 +21,7 @@ from launcher.ros_domain import PROFILE
 from tests.support.processes import TIMEOUT, NodeProcess, NodeStarter
 from tests.support.tuner import CONFIG, GoalClient, Services, tune_client
 
-# Loading the support of a ROS type imports lark, whose deprecated imports are not ours to mend.
+# Loading the support of a ROS type imports lark, whose deprecated imports we cannot change.
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
     import lark  # noqa: F401

@@ -46,7 +46,7 @@ def bag(runs: dict[str, list[JsonRecord]], tmp_path_factory: pytest.TempPathFact
 
 
 def steps(records: list[JsonRecord]) -> list[JsonRecord]:
-    """What a run can be lived through again from."""
+    """The records from which a run can be replayed."""
     return [record for record in records if record["type"] != "end"]
 
 

@@ -1,4 +1,4 @@
-"""The configuration that a run goes on with: the earlier run's own, as it was in the end, or another."""
+"""The configuration of a resumed run: that of the earlier run's end, or another."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NARROW = {"x1": {"min": -1.0, "max": 1.5}, "x2": {"min": -2.0, "max": 2.0}}
 
 @pytest.fixture
 def run(tmp_path: Path) -> OfflineRun:
-    """A run of three evaluations, with its configuration, going on."""
+    """A run of three evaluations that has not ended, with its configuration."""
     folder = tmp_path / "earlier"
     run = OfflineRun(folder, toy_optimizer(1), toy, seed=1, events=False)
     for _ in range(3):

@@ -44,7 +44,7 @@ def digest(folder: Path) -> dict[str, str]:
 
 
 def killed_run(start: Callable[..., Run], module: str, evaluations: int, budget: int) -> Run:
-    """A run in which one process, or mobo.py itself, was killed amid it."""
+    """A run in which one process, or mobo.py itself, was killed."""
     run = start("--evaluations", str(budget), "--seed", "3", "--speed", "20")
     run.until(lambda: len(run.evaluations()) >= evaluations, f"{evaluations} evaluations")
     if module:

@@ -1,4 +1,4 @@
-"""The table of simulations: it can be stopped at any time, and is the same whoever computes it."""
+"""The table of simulations: it can be stopped at any time, and does not depend on who computes it."""
 
 from __future__ import annotations
 

@@ -233,7 +233,7 @@ class MachineClient:
         finally:
             patience.over = True
             if not sent.done() and (leave is None or _any_done(interrupts)):
-                # The goal may be accepted after all: whoever is told so must stop it.
+                # The goal may be accepted later: its response must then stop it.
                 self._stopped = self._cancel_late(sent)
 
     async def _let_go(self, timeout: float, *interrupts: Future) -> None:
