@@ -94,7 +94,7 @@ class BridgeBackend(RampedBackend):
         }
 
     def _interlocks_health(self) -> Health:
-        """Whether each interlock permits to move."""
+        """Return whether each interlock permits moves."""
         values = {
             name: f"unknown: {signal.problem}"
             if signal.problem
@@ -108,7 +108,7 @@ class BridgeBackend(RampedBackend):
         return Health(level, failure.message, values)
 
     def _connections_health(self) -> Health:
-        """Whether everything that is sent to or called is there."""
+        """Return whether all receivers of set-points, services and actions exist."""
         missing = self.missing()
         return Health(STALE, missing) if missing else Health(OK, "nothing is missing")
 

@@ -160,7 +160,7 @@ def serve(
             the node and its executor. A `ValueError` or `StartError` that it raises ends the
             process with status 2 and the error's message.
         name: Name of the node.
-        description: What the node does, for `--help`.
+        description: Purpose of the node, for `--help`.
         parameters: Parameters that `--help` lists.
     """
 

@@ -56,7 +56,7 @@ class Program:
 
     Attributes:
         name: Name of the node, unless it is renamed.
-        description: What the node does, one sentence.
+        description: Purpose of the node, in one sentence.
         parameters: Parameters of the node.
         notes: Further lines about the parameters.
     """

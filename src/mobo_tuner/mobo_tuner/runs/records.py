@@ -62,8 +62,8 @@ class EvaluationRecord:
 
     Attributes:
         index: Position in the run, from 0.
-        source: Where the set-point came from.
-        attempts: How often it was tried, the last time included.
+        source: Source of the set-point.
+        attempts: Number of attempts, including the last one.
         stamp: When the measurement ended, on the machine's clock [s].
         setpoint: Every variable, in its unit.
         readbacks: Variables by their own instruments, in their units; NaN = unknown.

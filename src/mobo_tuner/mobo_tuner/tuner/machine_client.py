@@ -47,9 +47,9 @@ class MachineClient:
     """Client of `describe_machine`, `evaluate_setpoint` and `apply_setpoint`.
 
     Args:
-        node: on whose executor every coroutine here runs.
-        silence_timeout: how long the machine may say nothing before it counts as lost [s].
-        evaluation_timeout: how long one evaluation or move may take [s].
+        node: Node whose executor runs all coroutines of this class.
+        silence_timeout: Silence of the machine after which it counts as lost [s].
+        evaluation_timeout: Longest time of one evaluation or move [s].
     """
 
     def __init__(self, node: Node, silence_timeout: float, evaluation_timeout: float) -> None:
@@ -79,7 +79,7 @@ class MachineClient:
         """Wait for the machine and ask what it can do; None when interrupted.
 
         Raises:
-            MachineLostError: none answered within `timeout` seconds.
+            MachineLostError: If none answered within `timeout` seconds.
         """
         deadline = time.monotonic() + timeout
         if await until(self._node, lambda: self.is_there, *interrupts, timeout=timeout):
@@ -104,7 +104,7 @@ class MachineClient:
         An answer that is not to this goal is dropped, and counts as an evaluation that failed.
 
         Raises:
-            MachineLostError: the machine refused the goal, fell silent or took too long.
+            MachineLostError: If the machine refused the goal, fell silent or took too long.
         """
         what = f"evaluation {goal.index}, attempt {goal.attempt} of run '{goal.run_id}'"
         result = await self._carry_out(self._evaluate, goal, what, on_feedback, interrupts)
@@ -158,12 +158,12 @@ class MachineClient:
         )
 
     async def where(self, *interrupts: Future) -> dict[str, float] | None:
-        """Where the machine is, by its readbacks; nothing moves. None when interrupted.
+        """Return the machine's readbacks; nothing moves. Returns None if interrupted.
 
         It is asked to go nowhere at all; where it refuses that, it says where it is all the same.
 
         Raises:
-            MachineLostError: it does not say.
+            MachineLostError: If it does not answer.
         """
         answer = await self.apply([], lambda _: None, *interrupts)
         if answer.error_code == _RESULT.CANCELED:
@@ -194,7 +194,7 @@ class MachineClient:
         """Return the result of a goal; None if it was interrupted and the machine did not say more.
 
         Raises:
-            MachineLostError: it refused the goal, fell silent or took too long.
+            MachineLostError: If it refused the goal, fell silent or took too long.
         """
         await self._let_go(LET_GO_TIMEOUT, *interrupts)
         if _any_done(interrupts):
@@ -268,7 +268,7 @@ class MachineClient:
         """Wait for `future`; False when interrupted.
 
         Raises:
-            MachineLostError: there is no more patience.
+            MachineLostError: If the time is over.
         """
         while not future.done():
             remaining = patience.remaining()
@@ -291,7 +291,7 @@ class _Patience:
     """How long to wait for the machine yet.
 
     Attributes:
-        over: nobody waits any more.
+        over: Whether the wait has ended.
     """
 
     def __init__(self, silence_timeout: float, whole_timeout: float, what: str) -> None:
@@ -302,14 +302,14 @@ class _Patience:
         self.over = False
 
     def heard(self) -> None:
-        """The machine said something."""
+        """Note a sign of life of the machine."""
         self._heard = time.monotonic()
 
     def remaining(self) -> float:
         """Seconds from now.
 
         Raises:
-            MachineLostError: there are none left.
+            MachineLostError: If none are left.
         """
         now = time.monotonic()
         if now - self._heard >= self._silence_timeout:

@@ -106,7 +106,7 @@ class Attempts:
 
     Args:
         context: The tuner's node and what works in it.
-        fallbacks: Where the machine goes when the evaluation goes wrong.
+        fallbacks: Fallbacks of the machine after a failed evaluation.
     """
 
     def __init__(self, context: TunerContext, fallbacks: Fallbacks) -> None:

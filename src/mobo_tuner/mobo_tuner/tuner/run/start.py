@@ -83,7 +83,7 @@ def start_run(
     """Check a request and prepare its run.
 
     Args:
-        request: What is asked for.
+        request: Request for the run.
         problem: Problem to tune.
         parameters: Parameters of the tuner's node.
         interrupt: Done when the run must stop; its result is the reason.
