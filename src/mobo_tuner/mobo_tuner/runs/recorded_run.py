@@ -22,6 +22,7 @@ from mobo_tuner.runs.saved_state import SavedState
 
 BoolArray = NDArray[np.bool_]
 
+_REPLAYED = 150  # evaluations and changes that are replayed exactly, which takes some seconds
 UNFINISHED = "unfinished"  # stop reason of a run without an end: it continues, or was killed
 
 
@@ -31,8 +32,8 @@ class RecordedRun:
 
     Attributes:
         history: What happened.
-        optimizer: Optimiser as it was at the end; without its saved state its models are trained once,
-            at the end, so that they may differ a little from those of the run.
+        optimizer: Optimiser as it was at the end. Without its saved state, the models of a long run are
+            trained once, at the end, so that they may differ a little from those of the run.
     """
 
     history: History
@@ -49,7 +50,8 @@ class RecordedRun:
         """
         history = History.from_records(records)
         try:
-            return cls(history, restore(history, saved, retrain=False))
+            retrain = len(history.steps) <= _REPLAYED
+            return cls(history, restore(history, saved, retrain=retrain))
         except ProblemError as error:
             raise JournalError(f"the run of the journal cannot have happened: {error}") from None
 

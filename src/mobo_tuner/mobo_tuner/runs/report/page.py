@@ -111,7 +111,7 @@ def number(value: float | None, digits: int = 4) -> str:
 
 def share(value: float) -> str:
     """Return a share in percent."""
-    return f"{100.0 * value:.0f} %" if math.isfinite(value) else "–"
+    return f"{100.0 * value:.0f} %".replace("-", "−") if math.isfinite(value) else "–"
 
 
 def duration(seconds: float) -> str:
