@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mobo_tuner.core.problem import FARTHEST, LARGEST, Array, Problem, ProblemError, as_float
 
 Measured = float | tuple[float, float]
-"""What is told of a diagnostic: its mean, or its mean and standard deviation."""
+"""Measured value of a diagnostic: its mean, or its mean and standard deviation."""
 
 
 BoolArray = NDArray[np.bool_]

@@ -205,7 +205,7 @@ class GaussianProcess:
     def add(self, x: ArrayLike, y: float, stddev: float | None = None) -> GaussianProcess:
         """Add one observation without training; O(n^2).
 
-        Only where the logarithm is modelled and y is not positive, the model is fitted anew.
+        Only if the logarithm is modelled and y is not positive, the model is fitted again.
 
         Args:
             x: normalised input `(d,)`.

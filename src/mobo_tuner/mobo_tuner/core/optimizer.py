@@ -339,7 +339,7 @@ class Optimizer:
     def catch_up(self) -> None:
         """Do what `ask` does but for the search: what is asked later is as if `ask` had been called.
 
-        So a run is lived through again without the time that its suggestions took.
+        So a run is replayed without the time of its suggestions.
         """
         if len(self.dataset) >= self.initial_evaluations:
             self._update_models()
@@ -378,7 +378,7 @@ class Optimizer:
         """Go on with another problem of the same variables, knowing all that was told.
 
         Bounds, objectives, constraints, costs and the truncation box may differ; evaluations outside
-        new bounds stay. The new optimiser's models are trained anew, so that what it asks depends on
+        new bounds stay. The new optimiser's models are trained again, so that what it asks depends on
         the problem and what was told, and not on when the problem was changed.
 
         Raises:
@@ -398,7 +398,7 @@ class Optimizer:
     def predicted_front(self, size: int = 100) -> list[dict[str, Any]]:
         """The front as the models predict it where nothing was measured yet.
 
-        The models are trained anew for it: nothing that this optimiser asks later depends on it.
+        The models are trained again for it: nothing that this optimiser asks later depends on it.
 
         Args:
             size: most points of the front.
@@ -445,7 +445,7 @@ class Optimizer:
     # ------------------------------------------------------------------ state
 
     def get_state(self, *, with_evaluations: bool = True) -> dict[str, Any]:
-        """All that `from_state` needs to go on with the same suggestions, as plain data for JSON.
+        """Return the state for `from_state`, which continues with the same suggestions, as data for JSON.
 
         Args:
             with_evaluations: whether they are part of it; who keeps them elsewhere puts them in
