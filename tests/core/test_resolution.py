@@ -106,7 +106,8 @@ def test_a_slope_does_not_hide_the_well_beside_it(
         setpoint = optimizer.ask()
         optimizer.tell(setpoint, {"f": f(**setpoint) + noise * rng.normal()})
     asked = [e.setpoint for e in optimizer.dataset.evaluations]
-    assert len({tuple(setpoint.values()) for setpoint in asked}) == 60
+    # A noisy reading may be worth taking again.
+    assert len({tuple(setpoint.values()) for setpoint in asked}) >= (54 if noise else 60)
     assert min(f(**setpoint) for setpoint in asked) < -1.3
 
 

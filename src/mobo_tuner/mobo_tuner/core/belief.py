@@ -26,7 +26,7 @@ class Belief:
         objectives: Believed values ``(n, P)``; NaN for failed and withdrawn evaluations and for what
             was never measured anywhere.
         stddevs: Their standard deviations ``(n, P)``; 0 for a trusted reading.
-        predicted: Which of them were not measured ``(n, P)``.
+        predicted: Which of them were not measured, or are suspected ``(n, P)``.
         feasible: Which evaluations are believed to meet every constraint ``(n,)``.
     """
 
@@ -83,7 +83,8 @@ def probability_nondominated(
 
 def is_certain(data: Dataset, models: Models) -> bool:
     """Return whether every reading counts as it is and none is missing, so that no model is needed."""
-    return bool((data.complete | ~data.valid).all()) and not models.is_noisy(data)
+    incomplete = (data.valid & ~data.complete).any()
+    return not (incomplete or models.has_suspects or models.is_noisy(data))
 
 
 def measured(data: Dataset) -> Belief:
@@ -100,6 +101,8 @@ def believe(data: Dataset, models: Models) -> Belief:
     objectives = np.full((len(data), len(problem.objectives)), np.nan)
     stddevs = np.full_like(objectives, np.nan)
     readings = data.objectives
+    for column, name in enumerate(problem.objective_names):
+        readings[models.suspects(name), column] = np.nan
     for column, model in enumerate(models.objectives):
         if model.n:
             mean, stddev = model.predict(inputs[valid])
@@ -113,6 +116,7 @@ def believe(data: Dataset, models: Models) -> Belief:
     signs = {o.name: o.sign for o in problem.objectives}
     for name, model, lower, upper in models.limited:
         values = data.column(name) * signs.get(name, 1.0)
+        values[models.suspects(name)] = np.nan
         unknown = valid & (np.isnan(values) | models.is_noisy(data))
         if unknown.any() and model.n:
             values[unknown] = model.predict(inputs[unknown])[0]

@@ -20,6 +20,7 @@ from mobo_tuner.core.pareto import is_nondominated
 from mobo_tuner.core.problem import LARGEST, Array, Problem, ProblemError
 from mobo_tuner.core.resolution import readings_differ
 from mobo_tuner.core.settings import OptimizerSettings
+from mobo_tuner.core.suspects import find_suspects, is_doubtful
 from mobo_tuner.core.validity import ValidityModel
 
 _MOST_ROWS = 500  # evaluations that a model learns from
@@ -102,6 +103,7 @@ class Models:
         self._trained_rows = 0  # number of all evaluations at the last training
         self._held = 0  # number of all evaluations that the models hold
         self._outdated = False  # whether some of these were withdrawn or taken back
+        self._suspects: dict[str, NDArray[np.intp]] = {}  # evaluations, by output, if there are any
         self._noise = settings.noise
         self._noise_evidence = 0.0  # of all outputs together, at the last training
 
@@ -214,6 +216,7 @@ class Models:
         other = copy(self)
         other.validity = ValidityModel()
         other._processes = {name: p.copy() for name, p in self._processes.items()}
+        other._suspects = dict(self._suspects)
         if self._trained:
             other._learn(data, train=False, restarts=0)
         else:
@@ -265,14 +268,79 @@ class Models:
                     seconds=max(begin + share * self._seconds - time.monotonic(), 0.0),
                     noisy=noisy,
                 )
+                if train and (restarts is None or count <= _FEW) and not self._is_hurried:
+                    self._suspect(name, data, kept, noisy, [self._seed, 6, count, position])
             else:
                 for row in rows[rows >= self._held]:
                     process.add(inputs[row], float(y[row]), float(stddev[row]))
         self._held = len(data)
+        if train and self.has_suspects and (restarts is None or count <= _FEW):
+            self._suspect_together(data, noisy, count)
         if train and (restarts is None or count <= _FEW):
             self._weigh_noise(begin + _TRAINING_SHARE * self._seconds)
             if self._learns_noise and not noisy and not self._is_hurried:
                 self._learn(data, train, restarts)
+
+    def _suspect(
+        self, name: str, data: Dataset, rows: NDArray[np.intp], noisy: bool, seed: list[int]
+    ) -> None:
+        """Look for suspected readings of an output, and train its process without them.
+
+        Args:
+            name: Output.
+            data: Evaluations.
+            rows: Evaluations that its process was trained on.
+            noisy: Whether the machine is known to be noisy.
+            seed: Seed of the trainings.
+        """
+        y, stddev = data.column(name) * self._signs.get(name, 1.0), data.stddev_column(name)
+        former = self.suspects(name)
+        former = former[np.isfinite(y[former])]
+        every = np.union1d(rows, former)
+        x, process = data.inputs, self._processes[name]
+        found = find_suspects(
+            process,
+            x[every],
+            y[every],
+            stddev[every],
+            np.searchsorted(every, former),
+            np.random.default_rng(seed),
+        )
+        if not np.array_equal(every[found], former):
+            self._suspects[name] = every[found]
+            self._train_again(name, data, np.delete(every, found), noisy, seed)
+
+    def _suspect_together(self, data: Dataset, noisy: bool, count: int) -> None:
+        """Look once more at evaluations of which an output is suspected: others may be wrong, too."""
+        doubted = {int(row) for rows in self._suspects.values() for row in rows}
+        for position, (name, process) in enumerate(self._processes.items()):
+            y, _ = self._observations(name, data)
+            rows = self._kept(data, np.flatnonzero(np.isfinite(y)))
+            if len(rows) != process.n:
+                continue
+            found = [i for i, row in enumerate(rows) if row in doubted and is_doubtful(process, i)]
+            if found:
+                self._suspects[name] = np.union1d(self.suspects(name), rows[found])
+                seed = [self._seed, 7, count, position]
+                self._train_again(name, data, np.delete(rows, found), noisy, seed)
+
+    def _train_again(
+        self, name: str, data: Dataset, rows: NDArray[np.intp], noisy: bool, seed: list[int]
+    ) -> None:
+        """Train the process of an output on the given evaluations only, from nothing."""
+        y, stddev = data.column(name) * self._signs.get(name, 1.0), data.stddev_column(name)
+        process = self._processes[name] = self._processes[name].untrained()
+        rng = np.random.default_rng(seed)
+        process.fit(data.inputs[rows], y[rows], stddev[rows], rng=rng, noisy=noisy)
+
+    def suspects(self, name: str) -> NDArray[np.intp]:
+        """Return the evaluations whose reading of an output is suspected, in their order."""
+        return self._suspects.get(name, np.empty(0, dtype=np.intp))
+
+    @property
+    def has_suspects(self) -> bool:
+        """Whether any reading is suspected."""
+        return any(map(len, self._suspects.values()))
 
     def _weigh_noise(self, deadline: float) -> None:
         """Compute the evidence of noise; it stays as it was if time is up, by `time.monotonic`."""
@@ -342,8 +410,10 @@ class Models:
         self._outdated = self._judged > 0
 
     def _observations(self, name: str, data: Dataset) -> tuple[Array, Array]:
-        """Values as they are modelled and their standard deviations, ``(n,)`` each."""
-        return data.column(name) * self._signs.get(name, 1.0), data.stddev_column(name)
+        """Values as they are modelled and their standard deviations, ``(n,)`` each; NaN for suspects."""
+        y = data.column(name) * self._signs.get(name, 1.0)
+        y[self.suspects(name)] = np.nan
+        return y, data.stddev_column(name)
 
     def get_state(self) -> dict[str, Any]:
         """Return what `set_state` needs beside the data, as plain data."""
@@ -354,6 +424,7 @@ class Models:
             "judged": self._judged,
             "outdated": self._outdated,
             "noise_evidence": self._noise_evidence,
+            "suspects": {name: rows.tolist() for name, rows in self._suspects.items()},
             "validity": self.validity.get_state(),
             "processes": {name: p.get_state() for name, p in self._processes.items()},
         }
@@ -368,6 +439,11 @@ class Models:
         self._held, self._judged = int(state["held"]), int(state["judged"])
         self._outdated = bool(state["outdated"])
         self._noise_evidence = float(state["noise_evidence"])
+        self._suspects = {
+            name: np.array(rows, dtype=np.intp) for name, rows in state["suspects"].items()
+        }
+        if any((r < 0).any() or (r >= len(data)).any() for r in self._suspects.values()):
+            raise ProblemError("the state suspects evaluations that there are not")
         if not (
             0 <= self._trained <= self._trained_rows <= self._held <= len(data)
             and 0 <= self._judged <= len(data)

@@ -138,6 +138,15 @@ class Optimizer:
         return self._believed_hypervolume
 
     @property
+    def suspected(self) -> list[tuple[int, str]]:
+        """Readings that are nothing like the rest, by index and diagnostic, as of the last training.
+
+        They count as not measured until later readings confirm them.
+        """
+        names = self.problem.required_diagnostics
+        return sorted((int(i), name) for name in names for i in self._models.suspects(name))
+
+    @property
     def hypervolume_measured(self) -> float:
         """Hypervolume of the complete readings as they are, as for `hypervolume`."""
         return self._hypervolume

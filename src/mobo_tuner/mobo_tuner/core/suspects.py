@@ -1,0 +1,108 @@
+"""Suspected readings: a few that are nothing like what all others say of the place where they were taken.
+
+A reading is suspected if a model of all others rules it out by far. It does not count as long as it
+is; what repeats nearby is not suspected, so that a cliff or a region without beam is believed as soon
+as a second evaluation confirms it. Where many readings are alike (a plateau, a clipped camera, no beam
+yet), one that differs is what was sought, and nothing is suspected.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mobo_tuner.core.gaussian_process import GaussianProcess
+from mobo_tuner.core.problem import Array
+
+_PLATEAU = 0.25  # share of readings that are alike from which on none is suspected
+_FEWEST = 5  # readings that say anything of another one
+_STANDS_OUT = 2.5  # standardised residuals, in units of the usual one, that are looked at
+_RULED_OUT = 10.0  # standard deviations from the prediction of all others
+_DOUBTFUL = 3.0  # the same where another output of the evaluation is suspected
+_LEAST_SHARE = 0.4  # of the others' range by which it is off
+_MOST_SHARE = 0.1  # of all readings that may be suspected
+_NEARBY = 0.5  # largest distance in any normalised input at which readings confirm each other
+_ALIKE = 3.0  # largest ratio of the deviations of readings that confirm each other
+
+
+def find_suspects(
+    model: GaussianProcess,
+    x: Array,
+    y: Array,
+    stddev: Array,
+    former: NDArray[np.intp],
+    rng: np.random.Generator,
+) -> NDArray[np.intp]:
+    """Return which readings are suspected, as sorted rows; O(n^3) for each one that stands out.
+
+    Args:
+        model: Model trained on all readings but the former suspects, in their order.
+        x: Normalised inputs ``(n, d)``.
+        y: Readings ``(n,)``.
+        stddev: Known standard deviations ``(n,)``; NaN where unknown.
+        former: Rows that were suspected so far.
+        rng: Random number generator of the trainings.
+    """
+    suspects: dict[int, float] = {}
+    for i in former:
+        deviation = _deviation(model, x[i], float(y[i]), float(stddev[i]))
+        if deviation is not None:
+            suspects[int(i)] = deviation
+    kept = np.delete(np.arange(len(y)), former)
+    if len(kept) == 0 or np.unique(y[kept], return_counts=True)[1].max() > _PLATEAU * len(kept):
+        return np.empty(0, dtype=np.intp)
+    while len(kept) > _FEWEST:
+        loo = model.leave_one_out()
+        residual = np.abs(loo.residual) / loo.stddev
+        worst = int(residual.argmax())
+        if residual[worst] < _STANDS_OUT * max(float(np.median(residual)) / 0.6745, 1e-3):
+            break
+        i, kept = int(kept[worst]), np.delete(kept, worst)
+        if abs(loo.residual[worst]) < 0.5 * _LEAST_SHARE * np.ptp(y[kept]):
+            break
+        model = model.untrained().fit(x[kept], y[kept], stddev[kept], rng=rng)
+        deviation = _deviation(model, x[i], float(y[i]), float(stddev[i]))
+        if deviation is None:
+            break
+        suspects[i] = deviation
+    found = sorted(i for i in suspects if not _is_confirmed(i, suspects, x))
+    few = len(found) <= max(1, int(_MOST_SHARE * len(y)))
+    return np.array(found if few else [], dtype=np.intp)
+
+
+def is_doubtful(model: GaussianProcess, row: int) -> bool:
+    """Return whether a reading is far from what all others say, if another output there is suspected.
+
+    Args:
+        model: Model of the other output.
+        row: Row of the reading among those of the model.
+    """
+    loo = model.leave_one_out()
+    residual = np.abs(loo.residual) / loo.stddev
+    usual = max(1.0, float(np.sqrt(np.mean(np.square(np.delete(residual, row))))))
+    return bool(residual[row] > _DOUBTFUL * usual)
+
+
+def _deviation(model: GaussianProcess, x: Array, y: float, stddev: float) -> float | None:
+    """Return how far a reading is from the prediction of all others; None if they do not rule it out."""
+    loo = model.leave_one_out()
+    mean, spread = model.predict(x[None])
+    calibration = max(1.0, float(np.sqrt(np.mean(np.square(loo.residual / loo.stddev)))))
+    spread_of_reading = np.hypot(spread[0], model.noise_at(x))
+    if np.isfinite(stddev):
+        spread_of_reading = np.hypot(spread_of_reading, stddev)
+    deviation = float(y - mean[0])
+    least, most = model.range
+    off = abs(deviation) > max(
+        _LEAST_SHARE * (most - least), _RULED_OUT * calibration * float(spread_of_reading)
+    )
+    return deviation if off else None
+
+
+def _is_confirmed(i: int, deviations: dict[int, float], x: Array) -> bool:
+    """Return whether another reading nearby deviates in the same way."""
+    for j, other in deviations.items():
+        alike = other * deviations[i] > 0.0 and 1.0 / _ALIKE <= other / deviations[i] <= _ALIKE
+        if j != i and alike and np.abs(x[i] - x[j]).max() <= _NEARBY:
+            return True
+    return False

@@ -1,0 +1,111 @@
+"""Suspected readings: one that is nothing like the rest does not count until another confirms it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.core.gaussian_process import GaussianProcess
+from mobo_tuner.core.suspects import find_suspects
+
+PROBLEM = Problem.from_dict(
+    {
+        "variables": {name: {"min": -2.0, "max": 2.0} for name in "xy"},
+        "objectives": {name: {"reference": 3.0} for name in "fg"},
+    }
+)
+
+
+def truth(x: float, y: float) -> dict[str, float]:
+    return {"f": math.hypot(x - 1.0, y - 1.0), "g": math.hypot(x + 1.0, y + 1.0)}
+
+
+def tune(wrong: Mapping[int, Mapping[str, float]], evaluations: int = 32) -> Optimizer:
+    """Tune a machine that reads `wrong` outputs in some evaluations."""
+    optimizer = Optimizer(PROBLEM, seed=0)
+    for i in range(evaluations):
+        setpoint = optimizer.ask()
+        optimizer.tell(setpoint, truth(**setpoint) | dict(wrong.get(i, {})))
+    optimizer.catch_up()
+    return optimizer
+
+
+def visited(optimizer: Optimizer) -> float:
+    """Hypervolume of the true values at all set-points."""
+    check = Optimizer(PROBLEM)
+    for evaluation in optimizer.dataset.evaluations:
+        check.tell(evaluation.setpoint, truth(**evaluation.setpoint))
+    return check.hypervolume
+
+
+def found(x: np.ndarray, y: np.ndarray, former: tuple[int, ...] = ()) -> list[int]:
+    rows = np.array(former, dtype=np.intp)
+    kept = np.delete(np.arange(len(y)), rows)
+    unknown = np.full(len(y), np.nan)
+    model = GaussianProcess().fit(x[kept], y[kept])
+    return find_suspects(model, x, y, unknown, rows, np.random.default_rng(0)).tolist()
+
+
+def smooth(n: int) -> tuple[np.ndarray, np.ndarray]:
+    x = np.random.default_rng(1).uniform(-1.0, 1.0, (n, 2))
+    return x, np.sin(2.0 * x[:, 0]) + x[:, 1]
+
+
+@pytest.mark.parametrize("by", [4.0, -4.0, 30.0, 1e6])
+def test_a_reading_unlike_all_others_is_suspected(by: float) -> None:
+    x, y = smooth(20)
+    assert found(x, y) == []
+    y[7] += by
+    assert found(x, y) == [7]
+    assert found(x, y, former=(7,)) == [7]
+
+
+def test_a_reading_that_fits_again_is_suspected_no_longer() -> None:
+    x, y = smooth(20)
+    assert found(x, y, former=(7,)) == []
+
+
+def test_what_differs_from_a_plateau_is_not_suspected() -> None:
+    x, y = smooth(20)
+    y = np.minimum(y, -0.2)
+    y[7] -= 30.0
+    assert found(x, y) == []
+
+
+def test_readings_that_confirm_each_other_are_not_suspected() -> None:
+    x, y = smooth(24)
+    x[8] = x[7] + 0.05
+    y[7:9] += 30.0
+    assert found(x, y) == []
+    x[8] = -x[7]
+    assert found(x, y) == [7, 8]
+
+
+@pytest.mark.parametrize("wild", [{"f": 10.0}, {"g": 1e6}, {"f": 0.0, "g": 0.0}, {"f": -50.0}])
+def test_one_wild_reading_costs_next_to_nothing(wild: dict[str, float]) -> None:
+    clean, optimizer = tune({}), tune({8: wild})
+    assert optimizer.suspected
+    assert set(optimizer.suspected) <= {(8, name) for name in wild}
+    assert visited(optimizer) >= 0.98 * clean.hypervolume
+    assert optimizer.hypervolume == pytest.approx(visited(optimizer), rel=0.02)
+    restored = Optimizer.from_state(json.loads(json.dumps(optimizer.get_state())))
+    assert restored.suspected == optimizer.suspected
+    assert restored.hypervolume == optimizer.hypervolume
+    assert restored.ask() == optimizer.ask()
+
+
+def test_a_withdrawn_reading_counts_nowhere_and_can_be_taken_back() -> None:
+    optimizer = tune({8: {"f": 0.0, "g": 0.0}}, 14)
+    assert optimizer.hypervolume_measured == pytest.approx(9.0)
+    optimizer.forget(8)
+    assert optimizer.hypervolume_measured < 5.0
+    assert 8 not in [p["index"] for p in optimizer.pareto_front(measured=True)]
+    optimizer.ask()
+    assert optimizer.hypervolume < 5.0
+    optimizer.unforget(8)
+    assert optimizer.hypervolume_measured == pytest.approx(9.0)
