@@ -81,7 +81,7 @@ def test_a_run_is_steered(shell: Shell) -> None:
     wait_until(lambda: " of 900 done" in view.stdout, "the step")
     assert "paused: " in view.stdout
     shell("continue")
-    assert "evaluation" in shell("skip")
+    wait_until(lambda: steer.run(["skip"]) == 0, "an evaluation in flight")
     assert "evaluation" in shell("stop")
     assert console.wait(30.0) == 0
     assert view.wait(30.0) == 0

@@ -264,3 +264,59 @@ def test_goals_tell_the_machine_what_to_do_without_the_tuner(
     setpoints = [{item.name: item.value for item in goal.setpoint} for goal in goals]
     best = {item.name: item.value for item in goals[-1].if_client_lost}
     assert best in setpoints[:-1]
+
+
+def test_no_fallback_leads_across_bounds_that_were_narrowed_meanwhile(
+    start_tuner: Callable[..., NodeProcess],
+    client: GoalClient,
+    services: Services,
+    node: Node,
+    spin_until: Callable[..., None],
+) -> None:
+    machine = toy_machine(node)
+    machine.position = {"x1": 1.5, "x2": 0.0}
+    start_tuner("on_abort:=restore", "on_client_lost:=best", "initial_evaluations:=50")
+    client.send(Tune.Goal(evaluations=50))
+    spin_until(lambda: len(machine.goals) >= 5, "some evaluations")
+    assert services.trigger("pause").success
+    assert services.set(variables__x1__max=0.5).successful
+    count = len(machine.goals) + 1  # one may have been on its way
+    assert services.trigger("step").success
+    assert services.trigger("step").success
+    spin_until(lambda: len(machine.goals) > count, "an evaluation")
+    goal = machine.goals[-1]
+    for setpoint in (goal.setpoint, goal.if_client_lost):
+        assert {item.name: item.value for item in setpoint}["x1"] <= 0.5
+    client.cancel()
+    result = client.wait()
+    assert "the machine holds: the state before the run is out of bounds" in result.error_msg
+    assert machine.position["x1"] <= 0.5
+
+
+@pytest.mark.parametrize(
+    ("policy", "code"),
+    [("restore", Tune.Result.INVALID_GOAL), ("restore_anyway", Tune.Result.CANCELED)],
+)
+def test_a_state_outside_the_bounds_is_restored_on_a_word_only(
+    start_tuner: Callable[..., NodeProcess],
+    client: GoalClient,
+    services: Services,
+    node: Node,
+    spin_until: Callable[..., None],
+    policy: str,
+    code: int,
+) -> None:
+    machine = toy_machine(node)
+    machine.position = before = {"x1": 1.5, "x2": 0.0}
+    start_tuner(f"on_abort:={policy}")
+    assert services.set(variables__x1__max=0.5).successful
+    client.send(Tune.Goal(evaluations=1000))
+    if policy == "restore_anyway":
+        spin_until(lambda: machine.goals, "an evaluation")
+        client.cancel()
+    result = client.wait()
+    assert result.error_code == code
+    assert machine.position == before
+    if policy == "restore":
+        assert machine.goals == []
+        assert "set-point x1 is 1.5; -2 to 0.5 is allowed" in result.error_msg

@@ -18,7 +18,14 @@ from mobo_msgs_py.srv import ListWorkingPoints
 from mobo_tuner.ros.qos import LATCHED, STREAM
 from mobo_tuner.runs.history import History
 from tests.support.processes import NodeProcess
-from tests.support.tuner import GoalClient, Listener, Services, journal, tune_client
+from tests.support.tuner import (
+    GoalClient,
+    Listener,
+    Services,
+    journal,
+    toy_machine,
+    tune_client,
+)
 
 Goal = GoToWorkingPoint.Goal
 CODES = GoToWorkingPoint.Result
@@ -284,3 +291,49 @@ def test_a_tuner_that_is_killed_on_the_way_leaves_the_machine_at_the_working_poi
     start_tuner(*settings, config=config)
     mover.send(Goal(run_id="short", choice=Goal.BY_INDEX, index=point.index))
     assert mover.wait().error_code == CODES.NONE
+
+
+def test_bounds_fence_the_way_to_a_point_and_a_word_leads_across_them(
+    start_tuner: Callable[..., NodeProcess],
+    client: GoalClient,
+    mover: GoalClient,
+    services: Services,
+    node: Node,
+    tmp_path: Path,
+) -> None:
+    machine = toy_machine(node)
+    tuner = start_tuner("initial_evaluations:=20", "on_abort:=best")
+    client.send(Tune.Goal(run_id="wide", evaluations=10))
+    front = client.wait().pareto_front.points
+    far = max(front, key=lambda point: values(point.setpoint)["x1"])
+    where = values(far.setpoint)
+    limit = where["x1"] - 0.001
+    assert services.set(variables__x1__max=limit).successful
+
+    before = dict(machine.position)
+    for goal in (Goal(index=far.index), Goal(index=far.index, hold_evaluations=3, anyway=True)):
+        mover.send(goal)
+        result = mover.wait()
+        assert result.error_code == CODES.INVALID_GOAL
+        assert f"point {far.index} is out of bounds: set-point x1 is " in result.error_msg
+        assert machine.position == before
+    assert [r["type"] for r in journal(tmp_path, "wide")][-1] == "end"
+
+    mover.send(Goal(index=far.index, anyway=True))
+    assert mover.wait().error_code == CODES.NONE
+    assert machine.position == where
+    kept = journal(tmp_path, "wide")[-1]
+    assert (kept["type"], kept["index"], kept["setpoint"]) == ("move", far.index, where)
+    assert f"the machine goes to point {far.index} across the bounds" in tuner.stderr
+
+    # The run with that record in its journal is read as before, and a new one stays inside.
+    read = services.call(
+        ListWorkingPoints, "list_working_points", ListWorkingPoints.Request(run_id="wide"), 60.0
+    )
+    assert [point.index for point in read.measured.points] == [point.index for point in front]
+    machine.goals.clear()
+    client.send(Tune.Goal(run_id="narrow", resume_from="wide", evaluations=12))
+    assert client.wait().error_code == 0
+    for goal in machine.goals:
+        assert values(goal.setpoint)["x1"] <= limit
+    assert len(machine.goals) == 2

@@ -369,6 +369,7 @@ class TunerClient:
         run_id: str = "",
         hold: int = 0,
         radius: float = 0.0,
+        anyway: bool = False,
         on_feedback: OnMovement | None = None,
     ) -> Arrival:
         """Go to a point of a Pareto front, and wait until the machine has arrived.
@@ -381,6 +382,7 @@ class TunerClient:
             run_id: Id of the run; empty = the last run.
             hold: Number of evaluations to spend on holding the point against drift.
             radius: Radius of that search as a fraction of each variable's range [1]; 0 = the default.
+            anyway: Whether the point may be outside the bounds of now.
             on_feedback: Function that receives the progress.
 
         Raises:
@@ -393,6 +395,7 @@ class TunerClient:
             run_id=run_id or self.working_points().measured.run_id,
             hold_evaluations=count(hold, "hold"),
             radius=number(radius, "radius"),
+            anyway=anyway,
         )
         if weights is None:
             goal.choice, goal.index = GoToWorkingPoint.Goal.BY_INDEX, count(index, "index")

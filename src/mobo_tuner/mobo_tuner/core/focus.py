@@ -64,25 +64,39 @@ def largest_box(problem: Problem, front: Sequence[Mapping[str, Any]]) -> Mapping
     return front[int(np.argmax(np.log(problem.reference_point - values).sum(axis=1)))]
 
 
-def around(problem: Problem, setpoint: Mapping[str, float], radius: float) -> Problem:
+def around(
+    problem: Problem,
+    setpoint: Mapping[str, float],
+    radius: float,
+    bounds: Problem | None = None,
+) -> Problem:
     """Return the problem with bounds reduced to a neighbourhood of a set-point.
 
     Args:
         problem: Problem to reduce.
         setpoint: Centre of the neighbourhood.
         radius: Half-width of the new bounds, as a fraction of each range.
+        bounds: Problem whose bounds must hold, too, such as those of now.
 
     Raises:
-        ProblemError: If the radius is not between `LEAST_RADIUS` and 1, or the new bounds are too
-            close to each other.
+        ProblemError: If the radius is not between `LEAST_RADIUS` and 1, the set-point is outside the
+            bounds, or the new bounds are too close to each other.
     """
     if not LEAST_RADIUS <= as_float("radius", radius) <= 1.0:
         raise ProblemError(f"radius is {radius!r}; a number from {LEAST_RADIUS:g} to 1 is allowed")
+    others = {v.name: v for v in bounds.variables} if bounds is not None else {}
     variables = []
     for v in problem.variables:
+        other = others.get(v.name, v)
+        low, high = max(v.minimum, other.minimum), min(v.maximum, other.maximum)
+        center = as_float(f"set-point {v.name}", setpoint[v.name])
+        if not low <= center <= high:
+            allowed = f"{low:g} to {high:g} {v.unit}".rstrip() if low <= high else "nothing"
+            raise ProblemError(
+                f"the point's {v.name} is {center:g}, outside the bounds; {allowed} is allowed"
+            )
         reach = radius * (v.maximum - v.minimum)
-        center = setpoint[v.name]
-        low, high = max(v.minimum, center - reach), min(v.maximum, center + reach)
+        low, high = max(low, center - reach), min(high, center + reach)
         variables.append(replace(v, minimum=low, maximum=high))
     return Problem.from_dict(replace(problem, variables=tuple(variables)).to_dict())
 

@@ -360,6 +360,7 @@ class Optimizer:
         index: int | None = None,
         weights: Mapping[str, float] | None = None,
         radius: float = 0.2,
+        bounds: Problem | None = None,
     ) -> Optimizer:
         """Go on with a single objective around a point of the front ([Roussel2021]_, sec:conclusion).
 
@@ -373,13 +374,15 @@ class Optimizer:
                 the point's distance to the reference point: then the sum falls where the volume
                 between the two grows.
             radius: of the new bounds around the point, as a share of each variable's range.
+            bounds: problem whose bounds must hold, too, where they were changed since.
 
         Raises:
-            ProblemError: the point is not on the front, the weights do not fit, or neither is given.
+            ProblemError: the point is not on the front or outside the bounds, the weights do not fit,
+                or neither is given.
         """
         chosen, sums = choose_on_front(self.problem, self.pareto_front(), index, weights)
         changes = {"acquisition": "ei", "weights": sums, "initial_evaluations": 1}
-        focused = self._like_this(around(self.problem, chosen, radius), changes)
+        focused = self._like_this(around(self.problem, chosen, radius, bounds), changes)
         self._tell_all_to(focused)
         return focused
 

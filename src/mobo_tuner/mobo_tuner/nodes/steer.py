@@ -116,6 +116,7 @@ def go(client: TunerClient, options: argparse.Namespace) -> str:
         run_id=options.run,
         hold=options.hold,
         radius=options.radius,
+        anyway=options.anyway,
         on_feedback=show,
     )
     where = ", ".join(
@@ -197,6 +198,11 @@ def make_parser() -> argparse.ArgumentParser:
         default=0.0,
         metavar="SHARE",
         help="radius of the search around it as a fraction of each range (default: 0.1)",
+    )
+    parsers["go"].add_argument(
+        "--anyway",
+        action="store_true",
+        help="go there even if the point is outside the bounds as they are now",
     )
     return parser
 

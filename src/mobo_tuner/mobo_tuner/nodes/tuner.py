@@ -18,6 +18,7 @@ from mobo_tuner.ros.process import STOP_TIMEOUT, Program, exit_process, run_node
 from mobo_tuner.ros.waiting import until
 from mobo_tuner.ros.worker import Worker
 from mobo_tuner.tuner.context import TunerContext
+from mobo_tuner.tuner.gate import Gate
 from mobo_tuner.tuner.health import TunerHealth
 from mobo_tuner.tuner.machine_client import MachineClient
 from mobo_tuner.tuner.parameters import TunerParameters, tuner_specs, with_method
@@ -60,10 +61,13 @@ class Tuner:
             node=self.node,
             parameters=parameters,
             worker=Worker(executor, "optimizer"),
-            machine=MachineClient(
-                self.node,
-                silence_timeout=parameters.machine_timeout,
-                evaluation_timeout=parameters.evaluation_timeout,
+            gate=Gate(
+                MachineClient(
+                    self.node,
+                    silence_timeout=parameters.machine_timeout,
+                    evaluation_timeout=parameters.evaluation_timeout,
+                ),
+                bounds=lambda: problem.problem,
             ),
             topics=TunerTopics(self.node, problem.problem, parameters.client_timeout),
             stopping=Future(executor=executor),

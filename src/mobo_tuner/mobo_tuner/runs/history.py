@@ -18,6 +18,7 @@ from mobo_tuner.runs.records import (
     EndRecord,
     EvaluationRecord,
     Measurements,
+    MoveRecord,
     QueuedRecord,
     Record,
     StartRecord,
@@ -212,6 +213,9 @@ class _Builder:
             raise ValueError("it precedes the start")
         if isinstance(record, EndRecord):
             self._end = record
+            return
+        if isinstance(record, MoveRecord):  # nothing was measured
+            self._problem.normalize(record.setpoint)
             return
         if isinstance(record, EvaluationRecord):
             self._check_index(record.index)

@@ -13,7 +13,7 @@ import os
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -112,6 +112,32 @@ class Journal:
                     os.ftruncate(self._descriptor, self._size)
                 raise
             self._size += len(lines)
+
+
+def append_record(run_dir: str | Path, record: Mapping[str, Any]) -> None:
+    """Append one record to the journal of a run that has ended; it is on disk when this returns.
+
+    What a killed process left of a last line is cut off, as every reader leaves it out.
+
+    Raises:
+        OSError: If it could not be written.
+        ValueError: If the record cannot be written as JSON.
+    """
+    line = journal_line(record)
+    with (Path(run_dir) / FILE_NAME).open("r+b") as file:
+        end = file.seek(0, os.SEEK_END)
+        while end and not _ends_line(file, end):
+            end -= 1
+        file.truncate(end)
+        file.seek(end)
+        file.write(line)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _ends_line(file: BinaryIO, end: int) -> bool:
+    file.seek(end - 1)
+    return file.read(1) == b"\n"
 
 
 def read_journal(path: str | Path) -> list[JsonRecord]:

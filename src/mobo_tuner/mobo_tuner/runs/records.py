@@ -123,6 +123,15 @@ class QueuedRecord:
 
 
 @dataclass(frozen=True)
+class MoveRecord:
+    """A move across the bounds to the point of the evaluation `index`, on an operator's word."""
+
+    stamp: Stamp
+    index: int
+    setpoint: Values
+
+
+@dataclass(frozen=True)
 class EndRecord:
     """The last record of a run that was not killed."""
 
@@ -132,13 +141,14 @@ class EndRecord:
     error_msg: str = ""
 
 
-Record = StartRecord | EvaluationRecord | ChangeRecord | QueuedRecord | EndRecord
+Record = StartRecord | EvaluationRecord | ChangeRecord | QueuedRecord | MoveRecord | EndRecord
 
 _TYPES: dict[str, type[Record]] = {
     "start": StartRecord,
     "evaluation": EvaluationRecord,
     "change": ChangeRecord,
     "queued": QueuedRecord,
+    "move": MoveRecord,
     "end": EndRecord,
 }
 _TYPE_NAMES = {kind: name for name, kind in _TYPES.items()}

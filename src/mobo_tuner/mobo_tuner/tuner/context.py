@@ -11,7 +11,7 @@ from rclpy.task import Future
 
 from mobo_tuner.ros.conversions import seconds
 from mobo_tuner.ros.worker import Worker
-from mobo_tuner.tuner.machine_client import MachineClient
+from mobo_tuner.tuner.gate import Gate
 from mobo_tuner.tuner.parameters import TunerParameters
 from mobo_tuner.tuner.topics import Status, TunerTopics
 
@@ -24,7 +24,7 @@ class TunerContext:
         node: The tuner's node.
         parameters: Its parameters as they are now; some change while the node runs.
         worker: The one thread in which optimisers work.
-        machine: Client of the machine.
+        gate: The only way to the machine.
         topics: Publishers.
         stopping: Done when this process is asked to end.
     """
@@ -32,7 +32,7 @@ class TunerContext:
     node: Node
     parameters: TunerParameters
     worker: Worker
-    machine: MachineClient
+    gate: Gate
     topics: TunerTopics
     stopping: Future
 

@@ -17,7 +17,7 @@ from mobo_tuner.errors import ParameterError
 from mobo_tuner.parameter_file import check_section, flat
 from mobo_tuner.parameter_spec import ParameterSpec, specs_of
 
-_FALLBACKS = ("hold", "restore", "best")
+_FALLBACKS = ("hold", "restore", "restore_anyway", "best")
 MAXIMIZER_SETTINGS = "maximizer_settings."
 """What the names of the maximiser's settings begin with."""
 

@@ -10,9 +10,9 @@ from typing import Literal, NamedTuple
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_tuner.core import ProblemError
-from mobo_tuner.ros.conversions import named_values
 from mobo_tuner.ros.waiting import first_of
 from mobo_tuner.tuner.context import TunerContext
+from mobo_tuner.tuner.gate import BoundsError, EvaluationRequest
 from mobo_tuner.tuner.machine_client import Answer, MachineLostError
 from mobo_tuner.tuner.messages import constraint_messages
 from mobo_tuner.tuner.parameters import TunerParameters
@@ -114,17 +114,27 @@ class Attempts:
         self._fallbacks = fallbacks
 
     async def evaluate(self, run: Run, setpoint: dict[str, float]) -> Outcome | None:
-        """Have the next evaluation of a run made; None if the run was interrupted.
+        """Have the next evaluation of a run made; None if it was interrupted, which leaves no trace.
 
         An evaluation that was skipped has the error CANCELED.
 
         Raises:
             RunError: If the machine was lost for too long, or refuses the evaluation.
         """
+        run.evaluating = True
+        try:
+            return await self._evaluate(run, setpoint)
+        finally:
+            run.evaluating = False
+
+    async def _evaluate(self, run: Run, setpoint: dict[str, float]) -> Outcome | None:
         loss = Loss(self._context.parameters.machine_return_timeout)
         attempts = tries = 0
         while True:
-            answer = await self._attempt(run, setpoint, attempts, loss)
+            try:
+                answer = await self._attempt(run, setpoint, attempts, loss)
+            except BoundsError as error:
+                return self._out_of_bounds(run, f"the bounds were changed: {error}", attempts)
             attempts += 1
             if answer.error_code == _CODES.NONE:
                 return Outcome(answer, attempts)
@@ -137,11 +147,17 @@ class Attempts:
             if run.interrupted:
                 return None
             if run.steering.skip.done():
-                return Outcome(self.skipped(), attempts)
+                return Outcome(self._canceled("skipped by an operator"), attempts)
 
-    def skipped(self) -> Answer:
-        """Return the outcome of an evaluation that an operator skips."""
-        return Answer(_CODES.CANCELED, "skipped by an operator", self._context.stamp())
+    def _out_of_bounds(self, run: Run, reason: str, attempts: int) -> Outcome | None:
+        """Give up an evaluation that new bounds forbid; a run that cannot change its bounds stops."""
+        if run.changeable:
+            return Outcome(self._canceled(reason), attempts)
+        run.stop(reason)
+        return None
+
+    def _canceled(self, reason: str) -> Answer:
+        return Answer(_CODES.CANCELED, reason, self._context.stamp())
 
     async def _follow(self, run: Run, decision: Decision, answer: Answer, loss: Loss) -> None:
         """Do what was decided before the next attempt.
@@ -170,17 +186,17 @@ class Attempts:
         self, run: Run, setpoint: dict[str, float], attempt: int, loss: Loss
     ) -> Answer:
         """Return the machine's answer to one attempt; a machine that does not answer is lost."""
-        context, units = self._context, run.problem.units
-        goal = EvaluateSetpoint.Goal(
+        context = self._context
+        request = EvaluationRequest(
             run_id=run.run_id,
             index=run.index,
             attempt=attempt,
-            setpoint=named_values(setpoint, units),
+            setpoint=setpoint,
             shots=context.parameters.shots,
             critical=constraint_messages(run.problem, critical_only=True),
             client_timeout=context.parameters.client_timeout,
-            if_client_lost=named_values(self._fallbacks.target(run, "on_client_lost"), units),
-            if_violated=named_values(self._fallbacks.target(run, "on_violation"), units),
+            if_client_lost=self._fallbacks.target(run, "on_client_lost"),
+            if_violated=self._fallbacks.target(run, "on_violation"),
         )
 
         def on_feedback(feedback: EvaluateSetpoint.Feedback) -> None:
@@ -188,15 +204,12 @@ class Attempts:
             context.status.progress(feedback.phase, feedback.fraction)
 
         context.status.work(msg.TunerStatus.EVALUATING)
-        run.evaluating = True
         try:
-            answer = await context.machine.evaluate(
-                goal, on_feedback, run.interrupt, run.steering.skip
+            answer = await context.gate.evaluate(
+                request, run.problem.units, on_feedback, run.interrupt, run.steering.skip
             )
         except MachineLostError as error:
             return Answer(_CODES.MACHINE_LOST, str(error), context.stamp())
-        finally:
-            run.evaluating = False
         if answer.error_code == _CODES.NONE and measured_nothing(run.problem, answer):
             names = ", ".join(run.problem.required_diagnostics)
             return replace(
@@ -224,7 +237,7 @@ class Attempts:
         context.status.work(msg.TunerStatus.WAITING, f"{reason}; waiting for its return")
         try:
             await self._pause(run, context.parameters.retry_delay)
-            machine = await context.machine.describe(
+            machine = await context.gate.describe(
                 loss.remaining(), run.interrupt, run.steering.skip
             )
             if machine is None:

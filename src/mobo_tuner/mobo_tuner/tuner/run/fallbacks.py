@@ -7,12 +7,13 @@ from typing import Any
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_tuner.core.focus import largest_box
-from mobo_tuner.ros.conversions import named_values
 from mobo_tuner.tuner.context import TunerContext
+from mobo_tuner.tuner.gate import BoundsError, Gate, Target, settle_on_bounds
 from mobo_tuner.tuner.machine_client import MachineLostError, clip_to_limits
+from mobo_tuner.tuner.parameters import TunerParameters
 from mobo_tuner.tuner.run.run import Run, RunError
 
-RESTORE, BEST = "restore", "best"
+RESTORE, RESTORE_ANYWAY, BEST = "restore", "restore_anyway", "best"
 EVENTS = ("on_abort", "on_violation", "on_client_lost")
 SEND_OFF_TIMEOUT = 1.2  # [s] for the machine to accept a move while this process is stopping
 
@@ -22,6 +23,7 @@ class Fallbacks:
 
     The last two are sent to the machine with every evaluation, because it must act when nobody else
     can. `on_abort` is the tuner's own: after a cancel, a stop or an error it sends the machine there.
+    None leads across the problem's bounds but `restore_anyway`.
     """
 
     def __init__(self, context: TunerContext) -> None:
@@ -31,18 +33,20 @@ class Fallbacks:
         """Learn where the machine is before anything moves, if a policy may send it back there.
 
         Raises:
-            RunError: If the machine cannot tell.
+            RunError: If the machine cannot tell, or may not be sent back there.
         """
-        wanting = [event for event in EVENTS if self._policy(event) == RESTORE]
+        policies = {event: self._policy(event) for event in EVENTS}
+        wanting = [event for event in EVENTS if policies[event] in (RESTORE, RESTORE_ANYWAY)]
         if not wanting:
             return
         assert run.machine is not None
+        what = f"{wanting[0]} is '{policies[wanting[0]]}'"
         try:
-            where = await self._context.machine.where(run.interrupt)
+            where = await self._context.gate.where(run.interrupt)
         except MachineLostError as error:
             raise RunError(
                 Tune.Result.MACHINE_UNAVAILABLE,
-                f"{wanting[0]} is '{RESTORE}', but the state before the run is unknown: {error}",
+                f"{what}, but the state before the run is unknown: {error}",
             ) from None
         if where is None:
             return
@@ -50,23 +54,18 @@ class Fallbacks:
         if missing:
             raise RunError(
                 Tune.Result.MACHINE_UNAVAILABLE,
-                f"{wanting[0]} is '{RESTORE}', but the machine has no readback of {missing[0]}",
+                f"{what}, but the machine has no readback of {missing[0]}",
             )
-        run.state_before = clip_to_limits(where, run.machine.variables)
+        within = clip_to_limits(where, run.machine.variables)
+        run.state_before = settle_on_bounds(self._context.gate.bounds, within)
+        for event in wanting:
+            trouble = blocked_restore(policies[event], run, self._context.gate)
+            if trouble:
+                raise RunError(Tune.Result.INVALID_GOAL, f"{event} is '{RESTORE}', but {trouble}")
 
-    def target(self, run: Run, event: str) -> dict[str, float]:
-        """Return where the machine goes at an event; empty if it holds.
-
-        The best point of the front is the one that dominates the largest volume by itself; without
-        a front the machine holds.
-        """
-        policy = self._policy(event)
-        if policy == RESTORE:
-            return dict(run.state_before or {})
-        if policy == BEST:
-            best = largest_box(run.problem, list(run.found.front))
-            return dict(best["setpoint"]) if best else {}
-        return {}
+    def target(self, run: Run, event: str) -> Target | None:
+        """Return where the machine goes at an event; None if it holds."""
+        return fallback_target(self._policy(event), run, self._context.gate)
 
     async def act(self, run: Run) -> str:
         """Do what `on_abort` says for a run that did not end well.
@@ -77,27 +76,40 @@ class Fallbacks:
         Returns:
             What was done, in a few words; empty if nothing had to be done.
         """
-        target = self.target(run, "on_abort")
-        if run.machine is None or not target:
+        if run.machine is None:
             return ""
-        context = self._context
-        restoring = self._policy("on_abort") == RESTORE
-        what = "the state before the run" if restoring else "the best point"
-        setpoint = named_values(target, run.problem.units)
+        policy = self._policy("on_abort")
+        target = self.target(run, "on_abort")
+        if target is None:
+            trouble = blocked_restore(policy, run, self._context.gate)
+            return f"the machine holds: {trouble}" if trouble else ""
+        what = "the best point" if policy == BEST else "the state before the run"
+        try:
+            return await self._go(target, run, what)
+        except BoundsError as error:
+            return f"the machine holds: {what} is out of bounds: {error}"
+
+    async def _go(self, target: Target, run: Run, what: str) -> str:
+        """Go to a target and return what came of it, in a few words.
+
+        Raises:
+            BoundsError: If the machine may not go there.
+        """
+        context, units = self._context, run.problem.units
         context.log.info(f"run '{run.run_id}': the machine goes to {what}")
         context.status.work(msg.TunerStatus.MOVING, f"the machine goes to {what}")
         run.steering.begin_fallback()
         by_itself = f"the machine is going to {what} by itself"
         if context.stopping.done():
-            accepted = await context.machine.send_off(setpoint, SEND_OFF_TIMEOUT)
+            accepted = await context.gate.send_off(target, units, SEND_OFF_TIMEOUT)
             return by_itself if accepted else f"the machine did not accept to go to {what}"
 
         def on_feedback(feedback: Any) -> None:
             context.status.progress(feedback.phase, feedback.fraction)
 
         try:
-            answer = await context.machine.apply(
-                setpoint, on_feedback, run.steering.skip, leave=context.stopping
+            answer = await context.gate.move(
+                target, units, on_feedback, run.steering.skip, leave=context.stopping
             )
         except MachineLostError as error:
             return f"the machine did not go to {what}: {error}"
@@ -111,5 +123,40 @@ class Fallbacks:
         return f"the machine went to {what}"
 
     def _policy(self, event: str) -> str:
-        policy: str = getattr(self._context.parameters, event)
-        return policy
+        return fallback_policy(self._context.parameters, event)
+
+
+def fallback_policy(parameters: TunerParameters, event: str) -> str:
+    """Return the policy at one of `EVENTS`."""
+    policy: str = getattr(parameters, event)
+    return policy
+
+
+def fallback_target(policy: str, run: Run, gate: Gate) -> Target | None:
+    """Return where a policy sends the machine; None if it holds.
+
+    The best point is the one inside the bounds that dominates the largest volume by itself. The machine
+    holds if there is none, or if the state before the run is outside the bounds.
+    """
+    if policy in (RESTORE, RESTORE_ANYWAY) and run.state_before is not None:
+        target = Target(run.state_before, anyway=policy == RESTORE_ANYWAY)
+        return target if gate.allows(target) else None
+    if policy == BEST:
+        allowed = [point for point in run.found.front if gate.allows(Target(point["setpoint"]))]
+        best = largest_box(run.problem, allowed)
+        return Target(dict(best["setpoint"])) if best else None
+    return None
+
+
+def blocked_restore(policy: str, run: Run, gate: Gate) -> str:
+    """Return why a policy cannot restore the state before the run; empty if it can or need not."""
+    if policy not in (RESTORE, RESTORE_ANYWAY) or run.state_before is None:
+        return ""
+    try:
+        gate.check(Target(run.state_before, anyway=policy == RESTORE_ANYWAY))
+    except BoundsError as error:
+        return (
+            f"the state before the run is out of bounds: {error}; '{RESTORE_ANYWAY}' goes back there "
+            "all the same"
+        )
+    return ""

@@ -15,13 +15,13 @@ from mobo_tuner.core import ProblemError
 from mobo_tuner.ros.waiting import first_of, until
 from mobo_tuner.runs.records import EndRecord, EvaluationRecord
 from mobo_tuner.tuner.context import TunerContext, describe
+from mobo_tuner.tuner.gate import BoundsError, Gate, Target, check_bounds
 from mobo_tuner.tuner.machine_client import MachineLostError
 from mobo_tuner.tuner.messages import evaluation_message
 from mobo_tuner.tuner.parameters import TunerParameters
 from mobo_tuner.tuner.run.attempts import Attempts
 from mobo_tuner.tuner.run.fallbacks import Fallbacks
-from mobo_tuner.tuner.run.run import Outcome, Run, RunError, Suggestion
-from mobo_tuner.tuner.run.steering import check_bounds
+from mobo_tuner.tuner.run.run import Run, RunError, Suggestion
 from mobo_tuner.tuner.session import Session
 
 PAUSE_PERIOD = 3600.0  # [s] between two looks of a paused run at requests, which also wake it up
@@ -108,7 +108,7 @@ class RunLoop:
             suggested = await self._next(run, suggestion)
             if suggested is None:
                 return
-            outcome = await self._evaluate(run, suggested)
+            outcome = await self._attempts.evaluate(run, suggested.setpoint)
             if outcome is None:
                 return
             problem = run.problem
@@ -137,7 +137,7 @@ class RunLoop:
         self._publish_all(run)
         await self._publish_earlier(run)
         try:
-            machine = await context.machine.describe(
+            machine = await context.gate.describe(
                 context.parameters.discovery_timeout, run.interrupt
             )
             if machine is None:
@@ -207,19 +207,10 @@ class RunLoop:
             await first_of(self._context.node, run.interrupt, steering.news, timeout=PAUSE_PERIOD)
         self._context.status.set(message="")
         steering.take_step()
-        return self._queued(run, suggested) or suggested
-
-    def _queued(self, run: Run, suggested: Suggestion) -> Suggestion | None:
-        """Return the next queued set-point that the bounds, which may have changed, allow."""
-        while run.steering.queue:
-            setpoint = run.steering.queue.popleft()
-            try:
-                check_bounds(run.problem, setpoint)
-            except ProblemError as error:
-                self._context.log.warning(f"a queued set-point is dropped: {error}")
-                continue
-            return Suggestion(setpoint, "operator", suggested.seconds)
-        return None
+        queued, dropped = take_queued(run, self._context.gate)
+        for reason in dropped:
+            self._context.log.warning(f"a queued set-point is dropped: {reason}")
+        return Suggestion(queued, "operator", suggested.seconds) if queued else suggested
 
     async def _suggested(self, run: Run, suggestion: Future) -> Suggestion | None:
         """Return the suggestion once it is computed; None if the run was interrupted.
@@ -248,12 +239,6 @@ class RunLoop:
 
     # ------------------------------------------------------------------ an evaluation
 
-    async def _evaluate(self, run: Run, suggested: Suggestion) -> Outcome | None:
-        """Return the outcome of an evaluation; None if it was interrupted, which leaves no trace."""
-        if run.steering.skip.done():
-            return Outcome(self._attempts.skipped(), 0)
-        return await self._attempts.evaluate(run, suggested.setpoint)
-
     def _report(self, run: Run, record: EvaluationRecord, listener: Listener) -> None:
         message = run.evaluation_message(record)
         self._context.topics.evaluation(message)
@@ -277,6 +262,25 @@ class RunLoop:
             run.steering.pause()
         elif verdict.action == "end":
             raise RunError(_CODES.MACHINE_ERROR, verdict.reason)
+
+
+def take_queued(run: Run, gate: Gate) -> tuple[dict[str, float] | None, list[str]]:
+    """Take the next queued set-point that the bounds, which may have changed, allow.
+
+    Returns:
+        The set-point, or None, and the reasons why those before it were dropped.
+    """
+    dropped: list[str] = []
+    while run.steering.queue:
+        setpoint = run.steering.queue.popleft()
+        try:
+            check_bounds(run.problem, setpoint)
+            gate.check(Target(setpoint))
+        except BoundsError as error:
+            dropped.append(str(error))
+        else:
+            return setpoint, dropped
+    return None, dropped
 
 
 class Verdict(NamedTuple):

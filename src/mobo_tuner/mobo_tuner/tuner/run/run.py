@@ -111,7 +111,7 @@ class Run:
         state_before: Where the machine was before the run; None if no fallback needs it.
         by_client: Whether a client asks and tells by itself.
         changeable: Whether its problem and budget may be changed.
-        evaluating: Whether the machine is working on an evaluation.
+        evaluating: Whether an evaluation is in flight, also while it waits for its next attempt.
         consecutive_failures: Number of failed evaluations at the end of the finished ones.
         step_started: When the evaluation before ended, by `time.perf_counter` [s].
         found: What the run has found so far.

@@ -1,18 +1,17 @@
 """Pending requests of operators to the active run.
 
-All take effect between two evaluations; only `skip` also ends the evaluation that is being made.
+All take effect between two evaluations; only `skip` ends the evaluation in flight.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from rclpy.task import Future
 
-from mobo_tuner.core import Problem, ProblemError
+from mobo_tuner.core import Problem
 
 
 class Change(NamedTuple):
@@ -53,7 +52,7 @@ class Steering:
 
     @property
     def skip(self) -> Future:
-        """Future that is done when the evaluation that is being made or comes next must be skipped."""
+        """Future that is done when the evaluation in flight must be skipped."""
         return self._skip
 
     @property
@@ -82,7 +81,7 @@ class Steering:
         self.steps += 1
 
     def request_skip(self) -> None:
-        """Skip the evaluation that is being made or comes next."""
+        """Skip the evaluation in flight."""
         if not self._skip.done():
             self._skip.set_result(None)
 
@@ -98,16 +97,3 @@ class Steering:
         """Note that the machine is moved after the run; earlier requests to skip do not stop it."""
         self.falling_back = True
         self.forget_skip()
-
-
-def check_bounds(problem: Problem, setpoint: Mapping[str, float]) -> None:
-    """Check a set-point that an operator gives.
-
-    Raises:
-        ProblemError: If it does not name the problem's variables, or is outside their bounds.
-    """
-    problem.normalize(setpoint)
-    for v in problem.variables:
-        if not v.minimum <= setpoint[v.name] <= v.maximum:
-            allowed = f"{v.minimum:g} to {v.maximum:g} {v.unit}".rstrip()
-            raise ProblemError(f"set-point {v.name} is {setpoint[v.name]:g}; {allowed} is allowed")

@@ -60,7 +60,11 @@ class Holding:
         named = dict(zip(run.problem.objective_names, weights, strict=True))
         point = dict(run.records[index][1].setpoint)
         focused = await self._context.worker.submit(
-            run.optimizer.focus, index=index, weights=named, radius=radius
+            run.optimizer.focus,
+            index=index,
+            weights=named,
+            radius=radius,
+            bounds=self._context.gate.bounds,
         )
         before = run.index
         held = start_holding(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from std_srvs.srv import Trigger
 
@@ -13,8 +13,8 @@ from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.conversions import unique_values
 from mobo_tuner.runs.records import QueuedRecord
 from mobo_tuner.tuner.context import TunerContext
+from mobo_tuner.tuner.gate import Gate, Target, check_bounds
 from mobo_tuner.tuner.run.run import Run
-from mobo_tuner.tuner.run.steering import check_bounds
 from mobo_tuner.tuner.session import Session
 
 MAX_QUEUED = 1000  # set-points
@@ -49,8 +49,12 @@ class SteeringServices:
             if run is None:
                 response.message = f"'{name}' needs an active run; there is none"
                 return response
+            try:
+                response.message = action(run)
+            except ValueError as error:
+                response.message = str(error)
+                return response
             response.success = True
-            response.message = action(run)
             run.steering.notify()
             self._context.log.info(f"run '{run.run_id}', {name}: {response.message}")
             return response
@@ -65,12 +69,11 @@ class SteeringServices:
             response.message = "'queue_setpoint' needs an active run; there is none"
             return response
         steering = run.steering
-        problem = steering.change.problem if steering.change else run.problem
         try:
             if len(steering.queue) >= MAX_QUEUED:
                 raise ProblemError(f"{MAX_QUEUED} set-points are queued; no more are allowed")
             setpoint = unique_values("the set-point", request.setpoint)
-            check_bounds(problem, setpoint)
+            check_queued(run, self._context.gate, setpoint)
             run.log.append(QueuedRecord(self._context.stamp(), setpoint))
         except (UserError, OSError) as error:
             response.message = str(error)
@@ -80,6 +83,18 @@ class SteeringServices:
             response.success = True
         response.waiting = len(steering.queue)
         return response
+
+
+def check_queued(run: Run, gate: Gate, setpoint: Mapping[str, float]) -> None:
+    """Check a set-point that an operator wants to have evaluated.
+
+    Raises:
+        UserError: If it does not name the run's variables, or is out of bounds.
+    """
+    run.problem.normalize(setpoint)
+    if not run.changeable:  # it stays around a point
+        check_bounds(run.problem, setpoint)
+    gate.check(Target(setpoint))
 
 
 def _pause(run: Run) -> str:
@@ -99,9 +114,12 @@ def _step(run: Run) -> str:
 
 
 def _skip(run: Run) -> str:
-    run.steering.request_skip()
     if run.steering.falling_back:
+        run.steering.request_skip()
         return "the machine stops where it is"
+    if not run.evaluating:
+        raise ValueError("'skip' needs an evaluation in flight; there is none")
+    run.steering.request_skip()
     return f"evaluation {run.index} is skipped, which counts as failed"
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +17,10 @@ from mobo_tuner.core.hypervolume import hypervolume
 from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.action_server import Goal
 from mobo_tuner.ros.conversions import named_values, unique_values
+from mobo_tuner.runs.journal import append_record
+from mobo_tuner.runs.records import MoveRecord, to_json
 from mobo_tuner.tuner.context import TunerContext, describe
+from mobo_tuner.tuner.gate import BoundsError, Target, check_bounds
 from mobo_tuner.tuner.machine_client import MachineLostError
 from mobo_tuner.tuner.messages import front_message
 from mobo_tuner.tuner.run.loop import RunLoop
@@ -86,6 +88,7 @@ class WorkingPoints:
         result = GoToWorkingPoint.Result()
         try:
             choice = await self._choose(goal.request)
+            self._record_crossing(choice)
         except (ValueError, OSError) as error:
             result.error_code, result.error_msg = _CODES.INVALID_GOAL, str(error)
             return result
@@ -155,13 +158,49 @@ class WorkingPoints:
             for point, known in zip(points, front, strict=True)
             if known["setpoint"] == setpoint
         )
-        return Choice(run, chosen, setpoint, sums, request.hold_evaluations, radius)
+        target = Target(setpoint, anyway=request.anyway)
+        self._check(target, chosen.index, request.hold_evaluations)
+        return Choice(run, chosen, target, sums, request.hold_evaluations, radius)
+
+    def _check(self, target: Target, index: int, hold_evaluations: int) -> None:
+        """Check that the machine may go to a point, and search around it if it is to be held there.
+
+        Raises:
+            BoundsError: If not.
+        """
+        try:
+            self._context.gate.check(target)
+            if hold_evaluations:
+                check_bounds(self._context.gate.bounds, target.setpoint)
+        except BoundsError as error:
+            advice = "widen the bounds to hold it" if target.anyway else "'anyway' goes there"
+            raise BoundsError(f"point {index} is out of bounds: {error}; {advice}") from None
+
+    def _record_crossing(self, choice: Choice) -> None:
+        """Keep in the run's journal that an operator sends the machine across the bounds.
+
+        Raises:
+            OSError: If it cannot be written; the machine does not go there then.
+        """
+        context, run, setpoint = self._context, choice.run, choice.target.setpoint
+        if context.gate.allows(Target(setpoint)):
+            return
+        record = MoveRecord(context.stamp(), choice.point.index, setpoint)
+        folder = context.parameters.run_dir(run.run_id)
+        if run.by_client:  # its journal is still open
+            run.log.append(record)
+        elif folder is not None:
+            append_record(folder, to_json(record))
+        context.log.warning(
+            f"run '{run.run_id}': the machine goes to point {record.index} across the bounds, as an "
+            "operator has said"
+        )
 
     async def _go_and_hold(
         self, choice: Choice, interrupt: Future, goal: Goal, result: GoToWorkingPoint.Result
     ) -> None:
         await self._meet_machine(choice.run, interrupt)
-        await self._move(choice.run, choice.setpoint, interrupt, goal, result)
+        await self._move(choice.run, choice.target, interrupt, goal, result)
         if not choice.hold_evaluations:
             return
 
@@ -178,7 +217,7 @@ class WorkingPoints:
             interrupt,
             count,
         )
-        await self._move(choice.run, best, interrupt, goal, result)
+        await self._move(choice.run, Target(best), interrupt, goal, result)
 
     async def _meet_machine(self, run: Run, interrupt: Future) -> None:
         """Check that the machine is there and suits the run.
@@ -189,9 +228,7 @@ class WorkingPoints:
         context = self._context
         context.status.work(msg.TunerStatus.WAITING, "")
         try:
-            machine = await context.machine.describe(
-                context.parameters.discovery_timeout, interrupt
-            )
+            machine = await context.gate.describe(context.parameters.discovery_timeout, interrupt)
             if machine is not None:
                 run.meet(machine)
         except (MachineLostError, ProblemError) as error:
@@ -201,12 +238,12 @@ class WorkingPoints:
     async def _move(
         self,
         run: Run,
-        setpoint: Mapping[str, float],
+        target: Target,
         interrupt: Future,
         goal: Goal,
         result: GoToWorkingPoint.Result,
     ) -> None:
-        """Go to a set-point, ramped and verified.
+        """Go to a target, ramped and verified.
 
         Raises:
             RunError: If the machine did not arrive.
@@ -224,9 +261,9 @@ class WorkingPoints:
 
         units = run.problem.units
         try:
-            answer = await context.machine.apply(
-                named_values(setpoint, units), on_feedback, interrupt
-            )
+            answer = await context.gate.move(target, units, on_feedback, interrupt)
+        except BoundsError as error:
+            raise RunError(_CODES.INVALID_GOAL, str(error)) from None
         except MachineLostError as error:
             raise RunError(_CODES.MACHINE_LOST, str(error)) from None
         result.readbacks = named_values(answer.readbacks, units)
@@ -242,7 +279,7 @@ class Choice(NamedTuple):
 
     run: Run
     point: msg.ParetoPoint
-    setpoint: dict[str, float]
+    target: Target
     weights: tuple[float, ...]
     hold_evaluations: int
     radius: float

@@ -1,0 +1,225 @@
+"""The one way from the tuner to the machine: no motion leaves the bounds of now unasked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from rclpy.task import Future
+
+from mobo_msgs_py import msg
+from mobo_msgs_py.action import EvaluateSetpoint
+from mobo_msgs_py.srv import DescribeMachine
+from mobo_tuner.core.problem import Problem
+from mobo_tuner.errors import UserError
+from mobo_tuner.ros.conversions import named_values
+from mobo_tuner.tuner.machine_client import Answer, FeedbackCallback
+
+READBACK_MARGIN = 0.01
+"""Distance from a bound, as a share of the range, at which a readback is taken for the bound itself."""
+
+
+class BoundsError(UserError):
+    """A set-point to which the tuner may not send the machine."""
+
+
+class Target(NamedTuple):
+    """Where the machine is to go.
+
+    Attributes:
+        setpoint: Every variable, in its unit.
+        anyway: Whether an operator has said that it may be outside the problem's bounds.
+    """
+
+    setpoint: Mapping[str, float]
+    anyway: bool = False
+
+
+@dataclass(frozen=True)
+class EvaluationRequest:
+    """One attempt at an evaluation; the fields are those of `EvaluateSetpoint.Goal`."""
+
+    run_id: str
+    index: int
+    attempt: int
+    setpoint: Mapping[str, float]
+    shots: int = 0
+    critical: Sequence[msg.Constraint] = ()
+    client_timeout: float = 0.0
+    if_client_lost: Target | None = None
+    if_violated: Target | None = None
+
+
+class Machine(Protocol):
+    """What the gate needs of the machine's client; `MachineClient` says what each does."""
+
+    async def describe(
+        self, timeout: float, *interrupts: Future
+    ) -> DescribeMachine.Response | None:
+        """Wait for the machine and ask what it can do."""
+
+    async def where(self, *interrupts: Future) -> dict[str, float] | None:
+        """Return where the machine is."""
+
+    async def evaluate(
+        self, goal: EvaluateSetpoint.Goal, on_feedback: FeedbackCallback, *interrupts: Future
+    ) -> Answer:
+        """Have one set-point evaluated."""
+
+    async def apply(
+        self,
+        setpoint: Sequence[msg.NamedValue],
+        on_feedback: FeedbackCallback,
+        *interrupts: Future,
+        leave: Future | None = None,
+    ) -> Answer:
+        """Have the machine go to a set-point."""
+
+    async def send_off(self, setpoint: Sequence[msg.NamedValue], timeout: float) -> bool:
+        """Have the machine go to a set-point by itself."""
+
+
+class Gate:
+    """Checks every set-point that the tuner sends, and is the only one that talks to the machine.
+
+    A set-point must be inside the bounds of the tuner's problem as it is at that moment and inside the
+    machine's limits. Only a target with an operator's word, `anyway`, may cross the bounds; nothing may
+    cross the limits.
+
+    Args:
+        machine: Client of the machine.
+        bounds: Function that returns the tuner's problem as it is now.
+    """
+
+    def __init__(self, machine: Machine, bounds: Callable[[], Problem]) -> None:
+        self._machine = machine
+        self._bounds = bounds
+        self._limits: Sequence[msg.Variable] = ()  # of the machine that answered last
+
+    @property
+    def bounds(self) -> Problem:
+        """Problem whose bounds hold now."""
+        return self._bounds()
+
+    def check(self, target: Target) -> None:
+        """Check where the machine is to go.
+
+        Raises:
+            BoundsError: If the machine may not go there.
+        """
+        if not target.anyway:
+            check_bounds(self.bounds, target.setpoint)
+        for limit in self._limits:
+            _check_range(limit.name, target.setpoint, limit.min, limit.max, limit.unit)
+
+    def allows(self, target: Target) -> bool:
+        """Return whether the machine may go to a target."""
+        try:
+            self.check(target)
+        except BoundsError:
+            return False
+        return True
+
+    async def describe(
+        self, timeout: float, *interrupts: Future
+    ) -> DescribeMachine.Response | None:
+        """Wait for the machine and ask what it can do; see `MachineClient.describe`."""
+        machine = await self._machine.describe(timeout, *interrupts)
+        if machine is not None:
+            self._limits = tuple(machine.variables)
+        return machine
+
+    async def where(self, *interrupts: Future) -> dict[str, float] | None:
+        """Return where the machine is; nothing moves. See `MachineClient.where`."""
+        return await self._machine.where(*interrupts)
+
+    async def evaluate(
+        self,
+        request: EvaluationRequest,
+        units: Mapping[str, str],
+        on_feedback: FeedbackCallback,
+        *interrupts: Future,
+    ) -> Answer:
+        """Have one set-point evaluated; see `MachineClient.evaluate`.
+
+        Raises:
+            BoundsError: If the set-point or one of the fallbacks is not allowed; nothing was sent.
+            MachineLostError: If the machine refused the goal, fell silent or took too long.
+        """
+        targets = [Target(request.setpoint), request.if_client_lost, request.if_violated]
+        for target in targets:
+            if target is not None:
+                self.check(target)
+        at, if_client_lost, if_violated = (
+            named_values(target.setpoint, units) if target is not None else [] for target in targets
+        )
+        goal = EvaluateSetpoint.Goal(
+            run_id=request.run_id,
+            index=request.index,
+            attempt=request.attempt,
+            setpoint=at,
+            shots=request.shots,
+            critical=list(request.critical),
+            client_timeout=request.client_timeout,
+            if_client_lost=if_client_lost,
+            if_violated=if_violated,
+        )
+        return await self._machine.evaluate(goal, on_feedback, *interrupts)
+
+    async def move(
+        self,
+        target: Target,
+        units: Mapping[str, str],
+        on_feedback: FeedbackCallback,
+        *interrupts: Future,
+        leave: Future | None = None,
+    ) -> Answer:
+        """Have the machine go to a target, ramped and verified; see `MachineClient.apply`.
+
+        Raises:
+            BoundsError: If the target is not allowed; nothing was sent.
+            MachineLostError: If the machine refused the goal, fell silent or took too long.
+        """
+        self.check(target)
+        setpoint = named_values(target.setpoint, units)
+        return await self._machine.apply(setpoint, on_feedback, *interrupts, leave=leave)
+
+    async def send_off(self, target: Target, units: Mapping[str, str], timeout: float) -> bool:
+        """Have the machine go to a target by itself; see `MachineClient.send_off`.
+
+        Raises:
+            BoundsError: If the target is not allowed; nothing was sent.
+        """
+        self.check(target)
+        return await self._machine.send_off(named_values(target.setpoint, units), timeout)
+
+
+def check_bounds(problem: Problem, setpoint: Mapping[str, float]) -> None:
+    """Check that a set-point is inside the bounds of a problem, as far as this has its variables.
+
+    Raises:
+        BoundsError: If it is outside.
+    """
+    for v in problem.variables:
+        _check_range(v.name, setpoint, v.minimum, v.maximum, v.unit)
+
+
+def settle_on_bounds(problem: Problem, readbacks: Mapping[str, float]) -> dict[str, float]:
+    """Return readbacks as a set-point: those a hair outside a bound are taken for the bound."""
+    setpoint = dict(readbacks)
+    for v in problem.variables:
+        margin = READBACK_MARGIN * (v.maximum - v.minimum)
+        if v.name in setpoint and v.minimum - margin <= setpoint[v.name] <= v.maximum + margin:
+            setpoint[v.name] = min(max(setpoint[v.name], v.minimum), v.maximum)
+    return setpoint
+
+
+def _check_range(
+    name: str, setpoint: Mapping[str, float], minimum: float, maximum: float, unit: str
+) -> None:
+    value = setpoint.get(name)
+    if value is not None and not (math.isfinite(value) and minimum <= value <= maximum):
+        allowed = f"{minimum:g} to {maximum:g} {unit}".rstrip()
+        raise BoundsError(f"set-point {name} is {value:g}; {allowed} is allowed")
