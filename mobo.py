@@ -14,7 +14,8 @@
     python3 mobo.py replay RUN   compute every suggestion again, and compare
 
 With an active run, or with a tuner that is running permanently: status, watch, pause, continue, step,
-skip, stop, cancel, queue NAME=NUMBER ..., set NAME=VALUE ..., points, go INDEX.
+skip, stop, cancel, queue NAME=NUMBER ..., forget INDEX, unforget INDEX, set NAME=VALUE ...,
+points, go INDEX.
 
 It only needs Python 3.11, 3.12 or 3.13 on Linux and a C and C++ compiler; everything else is installed
 into `.venv` beside this file.

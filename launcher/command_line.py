@@ -28,6 +28,8 @@ STEERING = {
     "stop": "end the run after the current evaluation",
     "cancel": "cancel the active run or move",
     "queue": "evaluate a set-point of your own next",
+    "forget": "count an evaluation as never measured",
+    "unforget": "count a withdrawn evaluation again",
     "set": "change bounds, limits, goals, costs or the budget",
     "points": "list the Pareto front of a run",
     "go": "go to a point of a Pareto front",

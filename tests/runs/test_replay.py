@@ -15,7 +15,8 @@ from mobo_tuner.runs import replay
 from mobo_tuner.runs.history import READBACK, History
 from mobo_tuner.runs.journal import FILE_NAME, JournalError, read_journal
 from mobo_tuner.runs.optimizer_settings import make_optimizer
-from mobo_tuner.runs.records import QueuedRecord
+from mobo_tuner.runs.recorded_run import RecordedRun
+from mobo_tuner.runs.records import ForgetRecord, QueuedRecord
 from mobo_tuner.runs.saved_state import FILE_NAME as STATE_NAME
 from mobo_tuner.runs.saved_state import SavedState
 from robustness.offline_run import OfflineRun, toy, toy_optimizer
@@ -86,6 +87,41 @@ def test_a_run_that_learns_from_readbacks_is_restored_with_them(tmp_path: Path) 
         assert restored.ask() == run.ask()
         first = restored.dataset.evaluations[0]
         assert first.readbacks == {n: v + 0.01 for n, v in first.setpoint.items()}
+
+
+def test_a_run_in_which_something_was_withdrawn_is_restored_and_replayed(tmp_path: Path) -> None:
+    offline = OfflineRun(tmp_path / "run", toy_optimizer(SEED), toy, SEED, events=False)
+    withdrawals = {
+        6: [ForgetRecord(0.0, 0, 5), ForgetRecord(0.0, 0, 2, "f1")],
+        9: [ForgetRecord(0.0, 0, 5, withdrawn=False), ForgetRecord(0.0, 0, 8)],
+        12: [ForgetRecord(0.0, 0, 3)],
+    }
+    asked = []
+    for index in range(13):
+        offline.ask()  # the suggestion that is due is always made first
+        for request in withdrawals.get(index, ()):
+            offline.run.withdraw(request)
+            shutil.rmtree(tmp_path / "before", ignore_errors=True)
+            shutil.copytree(tmp_path / "run", tmp_path / "before")  # its state is late
+        asked.append(offline.ask())
+        if index < 12:
+            offline.step()
+    assert offline.run.found.withdrawn == {(2, "f1"), (3, None), (8, None)}
+    assert offline.run.found.evaluations == 12
+    offline.log.close()
+    history = history_of(tmp_path / "run")
+    assert [record.index for record in history.withdrawals] == [6, 6, 9, 9, 12]
+    for comparison, expected in zip(replay.compare(history), asked, strict=False):
+        assert comparison.now == expected
+        assert not comparison.differs
+    for saved in (None, SavedState.read(tmp_path / "run"), SavedState.read(tmp_path / "before")):
+        restored = replay.restore(history, saved)
+        assert restored.ask() == asked[-1]
+        assert set(restored.dataset.withdrawn) == offline.run.found.withdrawn
+    recorded = RecordedRun.from_records(read_journal(tmp_path / "run"))
+    assert [n for n in range(12) if not recorded.valid[n]] == [3, 8]
+    assert not recorded.feasible[2]
+    assert set(recorded.indices[recorded.front]) == {p["index"] for p in offline.run.found.front}
 
 
 @pytest.mark.parametrize("late", [1, 3, 8])

@@ -15,7 +15,14 @@ from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_tuner.machine.double import Answer, MachineDouble
 from mobo_tuner.ros.qos import LATCHED
 from tests.support.processes import NodeProcess
-from tests.support.tuner import GoalClient, Listener, journal, toy_machine, toy_values
+from tests.support.tuner import (
+    GoalClient,
+    Listener,
+    Services,
+    journal,
+    toy_machine,
+    toy_values,
+)
 
 RESULT = EvaluateSetpoint.Result
 FAILED = RESULT.INVALID_MEASUREMENT
@@ -72,7 +79,8 @@ def test_what_cannot_go_on_ends_the_run(
     machine = toy_machine(
         node, lambda goal: Answer(toy_values(goal), code if goal.index else RESULT.NONE, "no")
     )
-    start_tuner(f"on_failure:={policy}", "max_attempts:=2", "retry_delay:=0.1")
+    settings = ("max_attempts:=2", "retry_delay:=0.1", "on_interlock:=retry")
+    start_tuner(f"on_failure:={policy}", *settings)
     client.send(Tune.Goal(evaluations=50))
     result = client.wait()
     assert (result.error_code, result.error_msg) == (Tune.Result.MACHINE_ERROR, sentence)
@@ -221,3 +229,114 @@ def test_a_tuner_that_was_frozen_goes_on_where_it_was(
     records = journal(tmp_path, "frozen")[1:-1]
     assert all(r["valid"] for r in records)
     assert max(r["attempts"] for r in records) >= 2
+
+
+def test_an_interlock_that_passes_is_waited_for_and_shown_until_it_ends(
+    start_tuner: Callable[..., NodeProcess],
+    client: GoalClient,
+    node: Node,
+    spin_until: Callable[..., None],
+    tmp_path: Path,
+) -> None:
+    machine = toy_machine(node)
+    forbidden = True
+
+    def answer(goal: EvaluateSetpoint.Goal) -> Answer:
+        if goal.index == 1 and forbidden:
+            return Answer({}, RESULT.INTERLOCK, "interlock water forbids to move")
+        return Answer(toy_values(goal))
+
+    machine.answer = answer
+    statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
+    start_tuner("retry_delay:=0.1", "max_attempts:=1", "interlock_timeout:=60.0")
+    client.send(Tune.Goal(run_id="permit", evaluations=3))
+    spin_until(lambda: len(machine.goals) > 5, "attempts")
+    spin_until(lambda: statuses.messages[-1].state == msg.TunerStatus.WAITING, "the wait")
+    last = statuses.messages[-1]
+    assert "interlock water forbids to move; waiting up to 60 s" in last.message
+    assert last.last_failure == "evaluation 1: interlock water forbids to move"
+    forbidden = False
+    assert client.wait().error_code == 0
+    spin_until(lambda: statuses.messages[-1].state == msg.TunerStatus.IDLE, "the end")
+    assert statuses.messages[-1].message == ""
+    records = journal(tmp_path, "permit")[1:-1]
+    assert [r["valid"] for r in records] == [True] * 3
+    assert records[1]["attempts"] > 3
+
+
+def test_a_permit_that_does_not_come_in_time_ends_the_run(
+    start_tuner: Callable[..., NodeProcess], client: GoalClient, node: Node
+) -> None:
+    toy_machine(node, lambda _: Answer({}, RESULT.INTERLOCK, "no permit"))
+    start_tuner("retry_delay:=0.1", "interlock_timeout:=0.5")
+    client.send(Tune.Goal(evaluations=3))
+    result = client.wait()
+    assert result.error_code == Tune.Result.MACHINE_ERROR
+    assert result.error_msg == "the machine refused evaluation 0: no permit, for 0.5 s now"
+
+
+def test_a_run_pauses_during_an_evaluation_and_tries_it_again_when_resumed(
+    start_tuner: Callable[..., NodeProcess],
+    client: GoalClient,
+    services: Services,
+    node: Node,
+    spin_until: Callable[..., None],
+) -> None:
+    machine = toy_machine(node)
+    codes = {1: [RESULT.INTERLOCK], 2: [RESULT.MACHINE_LOST], 3: [RESULT.INTERLOCK] * 99}
+
+    def answer(goal: EvaluateSetpoint.Goal) -> Answer:
+        left = codes.get(goal.index, [])
+        return Answer(toy_values(goal), left.pop() if left else RESULT.NONE, "the door is open")
+
+    machine.answer = answer
+    statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
+    start_tuner("on_interlock:=pause", "on_fault:=pause")
+    client.send(Tune.Goal(evaluations=10))
+    for index in (1, 2, 3):
+        text = f"paused during evaluation {index}: the door is open"
+
+        def paused(text: str = text) -> bool:
+            last = statuses.messages[-1] if statuses.messages else msg.TunerStatus()
+            return last.state == msg.TunerStatus.PAUSED and last.message == text
+
+        spin_until(paused, text)
+        if index < 3:
+            assert services.trigger("resume").success
+    answer_of_stop = services.trigger("stop_after_this")
+    assert answer_of_stop.message == "the run ends before evaluation 3"
+    result = client.wait()
+    assert (result.error_code, result.stop_reason, result.evaluations) == (0, "stopped", 3)
+    assert identities(machine) == [(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (3, 0)]
+
+
+def test_a_pause_after_a_failure_says_why(
+    start_tuner: Callable[..., NodeProcess],
+    client: GoalClient,
+    services: Services,
+    node: Node,
+    spin_until: Callable[..., None],
+) -> None:
+    toy_machine(
+        node,
+        lambda goal: (
+            Answer({}, FAILED, "no beam")
+            if goal.index == 1
+            else Answer(
+                toy_values(goal), RESULT.VIOLATION if goal.index == 2 else RESULT.NONE, "g = 9"
+            )
+        ),
+    )
+    statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
+    start_tuner("on_failure:=pause")
+    client.send(Tune.Goal(evaluations=4))
+    for index, why in ((2, "evaluation 1 failed: no beam"), (3, "evaluation 2 failed: g = 9")):
+        text = f"paused before evaluation {index}: {why}"
+        spin_until(
+            lambda text=text: statuses.messages and statuses.messages[-1].message == text,
+            text,
+        )
+        assert services.trigger("resume").success
+    assert client.wait().error_code == 0
+    assert statuses.messages[-1].failed == 2
+    assert statuses.messages[-1].last_failure == "evaluation 2: g = 9"

@@ -45,6 +45,39 @@ def test_a_lost_machine_is_waited_for_and_costs_no_attempt(code: int) -> None:
         assert decision == Decision("wait", counts=False)
 
 
+OBSTACLES = {
+    "on_fault": (CODES.MACHINE_LOST, CODES.CLIENT_LOST),
+    "on_interlock": (CODES.INTERLOCK, CODES.NOT_ACTIVE),
+}
+
+
+@pytest.mark.parametrize(
+    ("policy", "code"), [(policy, code) for policy, codes in OBSTACLES.items() for code in codes]
+)
+def test_what_keeps_the_machine_from_moving_is_handled_by_one_scheme(
+    policy: str, code: int
+) -> None:
+    def decisions(choice: str) -> list[Decision]:
+        given = parameters(**{policy: choice}, max_attempts=3, retry_delay=0.5, on_failure="abort")
+        return [decide(answer(code), tries, Loss(60.0), given) for tries in (1, 2, 3)]
+
+    assert decisions("wait") == [Decision("wait", counts=False)] * 3
+    assert decisions("pause") == [Decision("pause", counts=False)] * 3
+    assert decisions("abort") == [Decision("fail")] * 3
+    assert decisions("retry") == [Decision("again", 0.5), Decision("again", 1.0), Decision("fail")]
+    assert parameters().values[policy] == "wait"
+
+
+@pytest.mark.parametrize("code", [CODES.BUSY, CODES.INTERLOCK, CODES.NOT_ACTIVE])
+def test_a_machine_that_has_just_returned_may_not_be_ready(code: int) -> None:
+    loss = Loss(60.0)
+    loss.begin()
+    given = parameters(on_interlock="abort", max_attempts=1)
+    assert decide(answer(code), 5, loss, given) == Decision("again", 1.0, counts=False)
+    loss.end()
+    assert decide(answer(code), 5, loss, given).action == "fail"
+
+
 @pytest.mark.parametrize("code", FAILURES)
 def test_a_failure_is_learned_from_or_retried_as_the_policy_says(code: int) -> None:
     loss = Loss(60.0)
@@ -86,7 +119,8 @@ def test_a_loss_lasts_until_the_machine_works_again_or_patience_ends() -> None:
     assert (loss.active, loss.remaining()) == (True, 20.0)
     clock.now += 25.0
     assert (loss.active, loss.remaining()) == (False, 0.0)
-    loss.end()
+    assert loss.end() == 35.0  # how long it did not work
+    assert loss.end() is None
     assert loss.begin()
     assert loss.remaining() == 30.0
 
@@ -134,3 +168,8 @@ def test_a_violation_pauses_the_run_where_the_policy_says_so() -> None:
     assert judge(violation, 1, parameters(pause_on_violation=True)).action == "pause"
     assert judge(violation, 1, parameters()).action == "continue"
     assert judge(BAD, 1, parameters(pause_on_violation=True)).action == "continue"
+
+
+def test_a_pause_has_its_reason() -> None:
+    verdict = judge(BAD, 1, parameters(on_failure="pause"))
+    assert verdict == Verdict("pause", f"evaluation {BAD.index} failed: no beam")

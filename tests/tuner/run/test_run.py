@@ -98,16 +98,18 @@ def test_the_first_reason_to_stop_counts(offline: OfflineRun) -> None:
 def test_pause_step_and_resume() -> None:
     steering = Steering()
     assert not steering.waits
-    steering.step()
-    steering.step()
+    steering.step("single steps")
+    steering.step("single steps")
     assert not steering.waits
     steering.take_step()
     steering.take_step()
     assert steering.waits
     steering.resume()
     assert not steering.waits
-    steering.pause()
+    assert steering.reason == ""
+    steering.pause("an operator")
     assert steering.waits
+    assert steering.reason == "an operator"
 
 
 def test_a_request_wakes_up_who_waits_for_news() -> None:

@@ -46,7 +46,7 @@ def test_a_change_holds_from_the_next_evaluation_on(
     machine = toy_machine(node)
     problems = Listener(node, msg.Problem, "problem", LATCHED)
     statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
-    start_tuner("initial_evaluations:=4", "evaluations:=7")
+    start_tuner("initial_evaluations:=4", "evaluations:=7", "proximal:=costs")
     client.send(Tune.Goal(run_id="changed"))
     spin_until(lambda: len(client.feedback) >= 4, "four evaluations")
     machine.held = True
@@ -201,3 +201,18 @@ def test_constraints_change_and_without_a_run_it_is_for_those_to_come(
     assert not critical[0]
     [last] = critical[-1]
     assert (last.name, last.min, last.max, last.critical) == ("f1", 1.0, 2.5, True)
+
+
+def test_a_reference_and_its_truncation_box_are_set_together_and_a_cost_without_effect_is_refused(
+    start_tuner: Callable[..., NodeProcess], services: Services
+) -> None:
+    start_tuner()
+    # Each alone would contradict what the other one is now.
+    both = {"objectives__f1__reference": 9.0, "objectives__f1__truncation": [6.0, 9.0]}
+    assert not services.set(objectives__f1__truncation=[6.0, 9.0]).successful
+    result = services.set(**both)
+    assert result.successful, result.reason
+    refused = services.set(variables__x1__cost=5.0)
+    assert not refused.successful
+    assert "variables.x1.cost has no effect: proximal is null" in refused.reason
+    assert "proximal: costs" in refused.reason

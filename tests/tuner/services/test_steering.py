@@ -12,8 +12,10 @@ from rclpy.node import Node
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
-from mobo_msgs_py.srv import QueueSetpoint
+from mobo_msgs_py.srv import ForgetEvaluation, QueueSetpoint
 from mobo_tuner.ros.qos import LATCHED
+from mobo_tuner.runs.history import History
+from mobo_tuner.runs.replay import compare
 from tests.support.processes import NodeProcess
 from tests.support.tuner import (
     GoalClient,
@@ -90,7 +92,8 @@ def test_pause_step_resume_and_stop_after_this(
     assert desk.ask("pause") == "the run pauses before evaluation 1"
     desk.machine.held = False
     desk.until_paused(1)
-    assert "paused before evaluation 1" in desk.statuses.messages[-1].message
+    text = desk.statuses.messages[-1].message
+    assert text == "paused before evaluation 1: an operator asked for it"
     desk.ask("step")
     desk.until_paused(2)
     desk.ask("step")
@@ -194,3 +197,40 @@ def test_an_operators_setpoints_come_next(
     assert waiting == [{"x1": 0.25, "x2": 0.5}, {"x1": 0.25, "x2": 0.75}]
     told = [feedback.evaluation.source for feedback in desk.client.feedback]
     assert told[1:4] == [msg.Evaluation.OPERATOR, msg.Evaluation.OPERATOR, msg.Evaluation.MODEL]
+
+
+def test_an_evaluation_and_a_diagnostic_are_withdrawn_and_count_again(
+    start_tuner: Callable[..., NodeProcess], desk: Desk, tmp_path: Path
+) -> None:
+    def call(name: str, index: int, diagnostic: str = "") -> ForgetEvaluation.Response:
+        request = ForgetEvaluation.Request(index=index, diagnostic=diagnostic)
+        return desk.services.call(ForgetEvaluation, name, request)
+
+    start_tuner("initial_evaluations:=4")
+    assert "there is none" in call("forget", 0).message
+    desk.start(run_id="withdrawn", evaluations=8)
+    desk.ask("pause")
+    desk.machine.held = False
+    desk.until_paused(1)
+    assert "0 to 0 are allowed" in call("forget", 1).message
+    assert "'beam'" in call("forget", 0, "beam").message
+    assert "was not withdrawn" in call("unforget", 0).message
+    assert call("forget", 0).success
+    assert "withdrawn already" in call("forget", 0).message
+    for _ in range(5):
+        desk.ask("step")
+    desk.until_paused(6)
+    assert desk.statuses.messages[-1].failed == 1  # not valid
+    assert desk.statuses.messages[-1].feasible == 5
+    assert call("unforget", 0).success
+    assert call("forget", 3, "f1").success
+    desk.ask("resume")
+    assert desk.client.wait().error_code == 0
+    kept = [r for r in journal(tmp_path, "withdrawn") if r["type"] == "forget"]
+    assert [(r["index"], r["evaluation"], r["diagnostic"], r["withdrawn"]) for r in kept] == [
+        (1, 0, "", True),
+        (6, 0, "", False),
+        (6, 3, "f1", True),
+    ]
+    history = History.from_records(journal(tmp_path, "withdrawn"))
+    assert not any(comparison.differs for comparison in compare(history))

@@ -337,3 +337,11 @@ def test_bounds_fence_the_way_to_a_point_and_a_word_leads_across_them(
     for goal in machine.goals:
         assert values(goal.setpoint)["x1"] <= limit
     assert len(machine.goals) == 2
+
+    # A look at an earlier run does not change which run is meant without a name.
+    services.call(
+        ListWorkingPoints, "list_working_points", ListWorkingPoints.Request(run_id="wide"), 60.0
+    )
+    [*_, point] = listed(services, False).measured.points
+    mover.send(Goal(index=point.index))
+    assert mover.wait().run_id == "narrow"

@@ -61,8 +61,8 @@ class BridgeBackend(RampedBackend):
         self._outputs = group_outputs(node, mapping.variables.values())
 
     def position(self, name: str) -> float:
-        """Return the latest finite readback of a variable."""
-        return self._readbacks[name].latest
+        """Return the readback of a variable, of which a single wrong value does not count."""
+        return self._readbacks[name].steady
 
     def readback_problem(self, name: str) -> str:
         """Return the reason why the readback of a variable is unknown, else an empty string."""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable
+from statistics import median
 from typing import Any
 
 from rclpy.clock import Clock
@@ -24,13 +26,17 @@ _QOS = {
     "best_effort": qos_profile_sensor_data,
     "latched": LATCHED,
 }
+WINDOW = 3  # values of which the median is taken: one that is wrong does not count
+LEAD = 5.0  # [s] by which a stamp may be ahead, as clocks of hosts are not quite equal
+RESTARTED = 3  # messages in a row whose stamps advance, after which an earlier time is a new clock
 
 
 class Signal:
     """The latest value of one endpoint, and its listeners.
 
-    A message whose stamp is older than `stale_after` or `not_before`, or not newer than that of the
-    previous message, is ignored. A missing or non-finite value counts as NaN: listeners receive it, but
+    A message whose stamp is older than `stale_after` or `not_before`, ahead of now by more than `LEAD`,
+    or not newer than that of the previous message, is ignored; stamps that go back but advance again are
+    those of a clock that was set. A missing or non-finite value counts as NaN: listeners receive it, but
     it does not replace the latest value.
 
     Args:
@@ -50,7 +56,9 @@ class Signal:
         self._clock = clock
         self._convert = convert
         self._heard = -math.inf  # arrival of the latest value, time.monotonic()
+        self._window: deque[tuple[float, float]] = deque(maxlen=WINDOW)  # arrival and value
         self._stamp = -math.inf  # of the last message [s]
+        self._earlier: list[float] = []  # stamps since then that went back
         self._fault = ""
 
     def accept(self, message: Any) -> None:
@@ -60,6 +68,7 @@ class Signal:
         value = self.value_of(message)
         if math.isfinite(value):
             self.latest, self._heard, self._fault = value, time.monotonic(), ""
+            self._window.append((self._heard, value))
         for listener in tuple(self.listeners):
             listener(value)
 
@@ -74,6 +83,19 @@ class Signal:
         if not math.isfinite(value):
             self._fault = f"it is {value}"
         return value if math.isfinite(value) else math.nan
+
+    @property
+    def steady(self) -> float:
+        """Median of the last values, so that a single wrong one does not count.
+
+        It is the latest value until there are enough of them, and where values come only when they
+        change: there nothing follows a value that is wrong.
+        """
+        if math.isinf(self.endpoint.stale_after):
+            return self.latest
+        oldest = time.monotonic() - self.endpoint.stale_after
+        values = [value for heard, value in self._window if heard >= oldest]
+        return median(values) if len(values) == WINDOW else self.latest
 
     def fail(self, reason: str) -> None:
         """Note the reason why no message arrived."""
@@ -114,11 +136,22 @@ class Signal:
         if now - stamp > self.endpoint.stale_after:
             self._fault = f"its stamp is {now - stamp:.1f} s old"
             return False
-        if stamp < self._stamp:
+        if stamp - now > LEAD:
+            self._fault = f"its stamp is {stamp - now:.1f} s ahead"
+            return False
+        if stamp < self._stamp and not self._is_new_clock(stamp):
             self._fault = "its stamp goes back"
             return False
         self._stamp = stamp
+        self._earlier.clear()
         return True
+
+    def _is_new_clock(self, stamp: float) -> bool:
+        """Return whether a stamp that goes back is one of several in a row that advance."""
+        if self._earlier and stamp <= self._earlier[-1]:
+            self._earlier.clear()
+        self._earlier.append(stamp)
+        return len(self._earlier) >= RESTARTED
 
 
 class Signals:

@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from std_srvs.srv import Trigger
 
 from mobo_msgs_py.action import GoToWorkingPoint, Tune
-from mobo_msgs_py.srv import Ask, ListWorkingPoints, QueueSetpoint, Tell
+from mobo_msgs_py.srv import Ask, ForgetEvaluation, ListWorkingPoints, QueueSetpoint, Tell
 from mobo_tuner.client.connection import ACTIONS, Connection, Inbox
 from mobo_tuner.client.follower import (
     Follower,
@@ -303,6 +303,22 @@ class TunerClient:
         request = QueueSetpoint.Request(setpoint=named(setpoint, "the set-point"))
         return int(_agreed(self._call("queue_setpoint", request)).waiting)
 
+    def forget(self, index: int, diagnostic: str = "") -> str:
+        """Have an evaluation of the run count as never measured; return the tuner's sentence.
+
+        Args:
+            index: Index of the evaluation.
+            diagnostic: Only diagnostic of it to withdraw; empty for all of it.
+
+        Raises:
+            TunerError: If no run is active, or it has no such evaluation or diagnostic.
+        """
+        return self._withdraw("forget", index, diagnostic)
+
+    def unforget(self, index: int, diagnostic: str = "") -> str:
+        """Have an evaluation that was withdrawn count again; arguments and errors as for `forget`."""
+        return self._withdraw("unforget", index, diagnostic)
+
     def set(self, values: Mapping[str, Any] | None = None, /, **parameters: Any) -> None:
         """Set parameters of the tuner: all of them, or none.
 
@@ -495,6 +511,10 @@ class TunerClient:
 
     def _call(self, name: str, request: Any, timeout: float | None = None) -> Any:
         return self._connection.call(name, request, timeout)
+
+    def _withdraw(self, name: str, index: int, diagnostic: str) -> str:
+        request = ForgetEvaluation.Request(index=count(index, "index"), diagnostic=diagnostic)
+        return str(_agreed(self._call(name, request)).message)
 
     def _trigger(self, name: str) -> str:
         return str(_agreed(self._call(name, Trigger.Request())).message)

@@ -59,7 +59,9 @@ class Status:
         phase: Phase of the machine's operation, e.g. "ramping".
         fraction: Completed fraction of the phase [0..1].
         stop_reason: Stop reason of the last run; empty during a run.
-        message: Message for people, in one sentence; empty = none.
+        message: Message for people, such as the reason of a pause or wait until it ends; empty = none.
+        last_failure: Last failure of the run, in one sentence; empty = none.
+        hints: What keeps the run from progress, one sentence each with what to do.
     """
 
     state: str
@@ -74,6 +76,8 @@ class Status:
     fraction: float = 0.0
     stop_reason: str = ""
     message: str = ""
+    last_failure: str = ""
+    hints: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -239,6 +243,8 @@ def status_of(message: msg.TunerStatus) -> Status:
         fraction=message.fraction,
         stop_reason=message.stop_reason,
         message=message.message,
+        last_failure=message.last_failure,
+        hints=tuple(message.hints),
     )
 
 

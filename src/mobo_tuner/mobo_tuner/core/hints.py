@@ -1,4 +1,4 @@
-"""What keeps a run from getting anywhere, in sentences for its operator."""
+"""What keeps a front empty, in sentences for the operator, each with what to do."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ def hints(data: Dataset, belief: Belief) -> list[str]:
     if len(data) == 0 or len(belief.front_rows()):
         return []
     if data.failed.all():
-        return [f"all {len(data)} evaluations failed"]
+        return [f"all {len(data)} evaluations failed: see why the last one did"]
     missing = [n for n in problem.required_diagnostics if np.isnan(data.column(n)).all()]
     if missing:
-        return [f"{name} was never measured" for name in missing] + _alike(data)
+        named = [f"{name} was never measured: check its name and its source" for name in missing]
+        return named + _alike(data)
     return _constraints(data, belief) + _references(problem, belief) + _alike(data)
 
 
@@ -48,9 +49,19 @@ def _constraints(data: Dataset, belief: Belief) -> list[str]:
             limits = " and ".join(f"{w} {v:.4g}" for w, v in sides if math.isfinite(v))
             sentences.append(
                 f"no point meets the constraint that {constraint.name} is {limits}; "
-                f"nearest {values[lack.argmin()]:.4g}"
+                f"nearest {values[lack.argmin()]:.4g}: check the limit, constraints.{constraint.name}"
             )
-    return sentences or ["no point meets all constraints at once"]
+    return sentences or [_tightest(data)]
+
+
+def _tightest(data: Dataset) -> str:
+    """Say that all constraints were never met at once, and which one is met least often."""
+    met = {c.name: sum(map(c.is_met, data.column(c.name))) for c in data.problem.constraints}
+    name = min(met, key=lambda each: met[each])
+    return (
+        f"no point meets all constraints at once; {name} is met by the fewest, {met[name]} of "
+        f"{len(data)}: relax it, or the one that matters least"
+    )
 
 
 def _references(problem: Problem, belief: Belief) -> list[str]:
@@ -64,7 +75,8 @@ def _references(problem: Problem, belief: Belief) -> list[str]:
         if not (column < limit).any():
             sentences.append(
                 f"no point is better than the reference of {objective.reference:.4g} in "
-                f"{objective.name}; nearest {objective.sign * column.min():.4g}"
+                f"{objective.name}; nearest {objective.sign * column.min():.4g}: set "
+                f"objectives.{objective.name}.reference to a value that is reached"
             )
     if sentences:
         return sentences
@@ -76,7 +88,7 @@ def _references(problem: Problem, belief: Belief) -> list[str]:
     )
     return [
         "no point is better than the reference point in all objectives at once; in evaluation "
-        f"{rows[row]}, which comes nearest, {lacking}"
+        f"{rows[row]}, which comes nearest, {lacking}: relax the references"
     ]
 
 
@@ -87,5 +99,8 @@ def _alike(data: Dataset) -> list[str]:
         values = data.column(name)
         values = values[np.isfinite(values)]
         if len(values) > 2 and np.ptp(values) == 0.0:
-            sentences.append(f"all {len(values)} readings of {name} are {values[0]:.4g}")
+            sentences.append(
+                f"all {len(values)} readings of {name} are {values[0]:.4g}: check whether the "
+                "diagnostic is alive"
+            )
     return sentences

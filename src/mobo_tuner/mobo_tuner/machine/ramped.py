@@ -7,6 +7,7 @@ import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from statistics import median
 
 from rclpy.node import Node
 from rclpy.task import Future
@@ -156,7 +157,8 @@ class RampedBackend(MachineBackend):
         readbacks = []
         failure = measured.failure
         for name, variable in self.ramped.items():
-            value, stddev = average(collected[name])
+            samples = without_strays(collected[name], variable.tolerance)
+            value, stddev = average(samples)
             readbacks.append(
                 msg.NamedValue(name=name, value=value, stddev=stddev, unit=variable.unit)
             )
@@ -328,6 +330,20 @@ class RampedBackend(MachineBackend):
                     _Result.MACHINE_LOST, f"the readback of {name} is not known: {problem}"
                 )
         return None
+
+
+def without_strays(samples: Sequence[float], tolerance: float) -> list[float]:
+    """Return the samples of a readback without those farther than the tolerance from their median.
+
+    A single wrong sample spoils a mean, but neither the median nor what is left here. All samples are
+    returned if they scatter by so much that the median tells nothing.
+    """
+    finite = [sample for sample in samples if math.isfinite(sample)]
+    if not finite:
+        return []
+    middle = median(finite)
+    near = [sample for sample in finite if abs(sample - middle) <= tolerance]
+    return near if 2 * len(near) > len(finite) else finite
 
 
 def _quantity(value: float | str, unit: str) -> str:

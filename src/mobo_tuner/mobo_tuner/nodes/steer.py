@@ -28,7 +28,11 @@ def status(client: TunerClient, _: argparse.Namespace) -> str:
     text = f"{now.state} {now.phase}".rstrip()
     if now.run_id:
         text += f"; run {now.run_id}: {_counts(now)}"
-    return f"{text}; {now.message}" if now.message else text
+    if now.message:
+        text += f"; {now.message}"
+    if now.last_failure:
+        text += f"\nlast failure: {now.last_failure}"
+    return text + "".join(f"\nhint: {hint}" for hint in now.hints)
 
 
 def watch(client: TunerClient, _: argparse.Namespace) -> str:
@@ -84,6 +88,16 @@ def queue(client: TunerClient, options: argparse.Namespace) -> str:
     return f"set-points in the queue: {client.queue(dict(options.values))}"
 
 
+def forget(client: TunerClient, options: argparse.Namespace) -> str:
+    """Have an evaluation, or one diagnostic of it, count as never measured."""
+    return client.forget(options.index, options.diagnostic)
+
+
+def unforget(client: TunerClient, options: argparse.Namespace) -> str:
+    """Have an evaluation that was withdrawn count again."""
+    return client.unforget(options.index, options.diagnostic)
+
+
 def set_(client: TunerClient, options: argparse.Namespace) -> str:
     """Set parameters of the tuner: all of them, or none."""
     values = dict(options.values)
@@ -137,6 +151,8 @@ VERBS: dict[str, Act] = {
     "stop": stop,
     "cancel": cancel,
     "queue": queue,
+    "forget": forget,
+    "unforget": unforget,
     "set": set_,
     "points": points,
     "go": go,
@@ -162,6 +178,13 @@ def make_parser() -> argparse.ArgumentParser:
         ("set", _named_value, "NAME=VALUE"),
     ):
         parsers[name].add_argument("values", nargs="+", type=kind, metavar=metavar)
+    for name in ("forget", "unforget"):
+        parsers[name].add_argument(
+            "index", type=_count, metavar="INDEX", help="index of the evaluation"
+        )
+        parsers[name].add_argument(
+            "diagnostic", nargs="?", default="", metavar="NAME", help="diagnostic (default: all)"
+        )
     for name in ("points", "go"):
         parsers[name].add_argument(
             "--run", metavar="ID", default="", help="id of the run (default: the last one)"

@@ -214,6 +214,15 @@ QUEUE_SETPOINT = Service(
     "tuner",
     "Adds an operator's set-point, which the run evaluates next.",
 )
+FORGET = Service(
+    "forget",
+    srv.ForgetEvaluation,
+    "tuner",
+    "Withdraws an evaluation of the run, or one diagnostic of it: it counts as never measured.",
+)
+UNFORGET = Service(
+    "unforget", srv.ForgetEvaluation, "tuner", "Ends a withdrawal: the evaluation counts again."
+)
 LIST_WORKING_POINTS = Service(
     "list_working_points",
     srv.ListWorkingPoints,

@@ -17,6 +17,7 @@ from mobo_tuner.runs.records import (
     ChangeRecord,
     EndRecord,
     EvaluationRecord,
+    ForgetRecord,
     Measurements,
     MoveRecord,
     QueuedRecord,
@@ -32,7 +33,7 @@ SETPOINT, READBACK = "setpoint", "readback"
 INVALID_MEASUREMENT = 5
 """Error code of `EvaluateSetpoint.Result`: a diagnostic could not be measured."""
 
-Step = EvaluationRecord | ChangeRecord
+Step = EvaluationRecord | ChangeRecord | ForgetRecord
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class History:
     """
 
     start: StartRecord
-    records: tuple[EvaluationRecord | ChangeRecord | QueuedRecord, ...]
+    records: tuple[Step | QueuedRecord, ...]
     waiting: tuple[Values, ...]
     end: EndRecord | None
 
@@ -103,7 +104,7 @@ class History:
 
     @property
     def steps(self) -> tuple[Step, ...]:
-        """Evaluations and changes in their order."""
+        """Evaluations, changes and withdrawals in their order."""
         return tuple(r for r in self.records if not isinstance(r, QueuedRecord))
 
     @property
@@ -115,6 +116,11 @@ class History:
     def changes(self) -> list[ChangeRecord]:
         """Changes in their order."""
         return [record for record in self.records if isinstance(record, ChangeRecord)]
+
+    @property
+    def withdrawals(self) -> list[ForgetRecord]:
+        """Withdrawals and their ends in their order."""
+        return [record for record in self.records if isinstance(record, ForgetRecord)]
 
     @property
     def last_problem(self) -> Problem:
@@ -185,7 +191,7 @@ class _Builder:
 
     def __init__(self) -> None:
         self._start: StartRecord | None = None
-        self._records: list[EvaluationRecord | ChangeRecord | QueuedRecord] = []
+        self._records: list[Step | QueuedRecord] = []
         self._waiting: list[Values] = []
         self._end: EndRecord | None = None
         self._count = 0
@@ -227,6 +233,10 @@ class _Builder:
             if set(record.problem.variable_names) != set(self._problem.variable_names):
                 raise ValueError("its variables are not those of the start")
             self._problem = record.problem
+        elif isinstance(record, ForgetRecord):
+            self._check_index(record.index)
+            if record.evaluation >= self._count:
+                raise ValueError(f"it withdraws evaluation {record.evaluation} of {self._count}")
         else:
             self._problem.normalize(record.setpoint)
             self._waiting.append(record.setpoint)

@@ -115,6 +115,25 @@ class ChangeRecord:
 
 
 @dataclass(frozen=True)
+class ForgetRecord:
+    """A withdrawal that is in force from the evaluation `index` on, or the end of one.
+
+    Attributes:
+        stamp: When an operator asked for it [s].
+        index: Number of finished evaluations.
+        evaluation: Index of the evaluation that counts as never measured.
+        diagnostic: Its only diagnostic that counts as never measured; empty = all of it.
+        withdrawn: Whether it is withdrawn; false where a withdrawal ends.
+    """
+
+    stamp: Stamp
+    index: int
+    evaluation: int
+    diagnostic: str = ""
+    withdrawn: bool = True
+
+
+@dataclass(frozen=True)
 class QueuedRecord:
     """A set-point that an operator gave; it waits until an evaluation with source "operator" has it."""
 
@@ -141,12 +160,21 @@ class EndRecord:
     error_msg: str = ""
 
 
-Record = StartRecord | EvaluationRecord | ChangeRecord | QueuedRecord | MoveRecord | EndRecord
+Record = (
+    StartRecord
+    | EvaluationRecord
+    | ChangeRecord
+    | ForgetRecord
+    | QueuedRecord
+    | MoveRecord
+    | EndRecord
+)
 
 _TYPES: dict[str, type[Record]] = {
     "start": StartRecord,
     "evaluation": EvaluationRecord,
     "change": ChangeRecord,
+    "forget": ForgetRecord,
     "queued": QueuedRecord,
     "move": MoveRecord,
     "end": EndRecord,

@@ -19,7 +19,7 @@ from mobo_tuner.runs.history import History, Step, told_of
 from mobo_tuner.runs.journal import JsonRecord, read_journal
 from mobo_tuner.runs.optimizer_settings import make_optimizer
 from mobo_tuner.runs.rebuild import records_of_bag
-from mobo_tuner.runs.records import EvaluationRecord
+from mobo_tuner.runs.records import EvaluationRecord, ForgetRecord
 from mobo_tuner.runs.saved_state import SavedState
 
 
@@ -54,9 +54,24 @@ def take_step(optimizer: Optimizer, step: Step, model_input: str) -> Optimizer:
     """Return the optimiser after one more step of a history."""
     if isinstance(step, EvaluationRecord):
         optimizer.tell(*told_of(step, optimizer.problem, model_input))
+    elif isinstance(step, ForgetRecord):
+        withdraw(optimizer, step)
     elif step.problem != optimizer.given_problem:
         return optimizer.with_problem(step.problem)
     return optimizer
+
+
+def withdraw(optimizer: Optimizer, record: ForgetRecord) -> None:
+    """Have an optimiser forget an evaluation or a diagnostic of it, or learn it again.
+
+    The suggestion that was due has been computed before, so that a replay finds the same.
+
+    Raises:
+        ProblemError: there is no such evaluation, or it has no such diagnostic.
+    """
+    optimizer.catch_up()
+    act = optimizer.forget if record.withdrawn else optimizer.unforget
+    act(record.evaluation, record.diagnostic or None)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mobo_tuner.core import Optimizer
 from mobo_tuner.runs.journal import Journal, journal_line
-from mobo_tuner.runs.records import ChangeRecord, Record, StartRecord, to_json
+from mobo_tuner.runs.records import ChangeRecord, ForgetRecord, Record, StartRecord, to_json
 from mobo_tuner.runs.saved_state import SavedState
 
 
@@ -79,6 +79,6 @@ class RunLog:
             self._journal.close()
 
     def _outline(self, record: Record) -> None:
-        if isinstance(record, StartRecord | ChangeRecord):
-            self._changes += isinstance(record, ChangeRecord)
+        if isinstance(record, StartRecord | ChangeRecord | ForgetRecord):
+            self._changes += not isinstance(record, StartRecord)
             self._lines.append(journal_line(to_json(record)).decode())

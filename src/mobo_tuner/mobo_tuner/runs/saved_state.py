@@ -87,7 +87,7 @@ class SavedState:
         for step in history.steps[:position]:
             if isinstance(step, ChangeRecord):
                 problem = step.problem
-            else:
+            elif isinstance(step, EvaluationRecord):
                 evaluations.append(told_of(step, problem, history.model_input)._asdict())
         try:
             if Problem.from_dict(self.state["problem"]) != problem:
@@ -105,7 +105,7 @@ class SavedState:
             if (evaluations, changes) == (self.evaluations, self.changes):
                 return position
             evaluations += isinstance(step, EvaluationRecord)
-            changes += isinstance(step, ChangeRecord)
+            changes += step is not None and not isinstance(step, EvaluationRecord)
         return None
 
 

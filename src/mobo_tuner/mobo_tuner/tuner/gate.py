@@ -55,6 +55,14 @@ class EvaluationRequest:
 class Machine(Protocol):
     """What the gate needs of the machine's client; `MachineClient` says what each does."""
 
+    @property
+    def action_name(self) -> str:
+        """Full name of the action `evaluate_setpoint`."""
+
+    @property
+    def is_there(self) -> bool:
+        """Whether a machine serves that action."""
+
     async def describe(
         self, timeout: float, *interrupts: Future
     ) -> DescribeMachine.Response | None:
@@ -102,6 +110,16 @@ class Gate:
     def bounds(self) -> Problem:
         """Problem whose bounds hold now."""
         return self._bounds()
+
+    @property
+    def action_name(self) -> str:
+        """Full name of the machine's action `evaluate_setpoint`."""
+        return self._machine.action_name
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a machine behind it."""
+        return self._machine.is_there
 
     def check(self, target: Target) -> None:
         """Check where the machine is to go.

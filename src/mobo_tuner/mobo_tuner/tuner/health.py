@@ -83,8 +83,8 @@ class TunerHealth:
         return Health(OK, status.message or _STATES[status.state], values)
 
     def _machine(self) -> Health:
-        machine = self._context.machine
-        values = {"evaluate_setpoint": machine.action_name}
-        if machine.is_there:
+        gate = self._context.gate
+        values = {"evaluate_setpoint": gate.action_name}
+        if gate.is_open:
             return Health(OK, "a machine serves the tuner", values)
-        return Health(STALE, f"no machine serves {machine.action_name}", values)
+        return Health(STALE, f"no machine serves {gate.action_name}", values)

@@ -18,6 +18,7 @@ from mobo_tuner.parameter_file import check_section, flat
 from mobo_tuner.parameter_spec import ParameterSpec, specs_of
 
 _FALLBACKS = ("hold", "restore", "restore_anyway", "best")
+_OBSTACLES = ("wait", "retry", "pause", "abort")
 MAXIMIZER_SETTINGS = "maximizer_settings."
 """What the names of the maximiser's settings begin with."""
 
@@ -94,13 +95,13 @@ TUNER = (
     ParameterSpec(
         "on_failure",
         "skip",
-        "After a failed evaluation: repeat it, learn from it and continue, or end the run.",
-        choices=("retry", "skip", "abort"),
+        "After a failed evaluation: repeat it, learn from it and continue, pause, or end the run.",
+        choices=("retry", "skip", "pause", "abort"),
     ),
     ParameterSpec(
         "max_attempts",
         3,
-        "Attempts at an evaluation before it counts as failed, if on_failure is retry.",
+        "Attempts at an evaluation if on_failure, on_interlock or on_fault is retry.",
         minimum=1,
         maximum=1000,
     ),
@@ -112,9 +113,28 @@ TUNER = (
         maximum=60.0,
     ),
     ParameterSpec(
+        "on_interlock",
+        "wait",
+        "While the machine forbids to move: wait, repeat the attempt, pause, or end the run.",
+        choices=_OBSTACLES,
+    ),
+    ParameterSpec(
+        "interlock_timeout",
+        1800.0,
+        "Longest wait until the machine allows to move, before the run ends with an error [s].",
+        minimum=0.0,
+        maximum=604_800.0,
+    ),
+    ParameterSpec(
+        "on_fault",
+        "wait",
+        "While the machine is lost: wait, repeat the attempt, pause, or end the run.",
+        choices=_OBSTACLES,
+    ),
+    ParameterSpec(
         "machine_return_timeout",
-        60.0,
-        "Longest pause until a lost machine is back, before the run ends with an error [s].",
+        300.0,
+        "Longest wait until a lost machine is back, before the run ends with an error [s].",
         minimum=0.0,
         maximum=604_800.0,
     ),
@@ -220,6 +240,9 @@ class TunerParameters:
     on_failure: str
     max_attempts: int
     retry_delay: float
+    on_interlock: str
+    interlock_timeout: float
+    on_fault: str
     machine_return_timeout: float
     on_abort: str
     on_violation: str

@@ -117,6 +117,10 @@ class Status:
         text = self.message.message if message is None else message
         self.set(state=state, phase="", fraction=0.0, message=text)
 
+    def fail(self, text: str) -> None:
+        """Publish the last failure of a run; it stays until the next one or another run."""
+        self.set(last_failure=text)
+
     def progress(self, phase: str, fraction: float) -> None:
         """Keep how far the machine is, for the next period."""
         self.set(publish=False, phase=phase, fraction=fraction)

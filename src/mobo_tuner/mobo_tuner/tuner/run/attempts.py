@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple
+
+from rclpy.task import Future
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
@@ -24,28 +26,30 @@ _CODES = EvaluateSetpoint.Result
 _FAILED = (_CODES.TIMEOUT, _CODES.INVALID_MEASUREMENT, _CODES.UNKNOWN)
 # The machine or the connection to it was lost: nothing is known of the set-point.
 _LOST = (_CODES.MACHINE_LOST, _CODES.CLIENT_LOST)
-# The machine refuses to move, which may pass.
-_REFUSED = (_CODES.INTERLOCK, _CODES.NOT_ACTIVE)
+# The machine forbids to move, which may pass.
+_FORBIDDEN = (_CODES.INTERLOCK, _CODES.NOT_ACTIVE)
 SHORTEST_DELAY, LONGEST_DELAY = 0.1, 60.0  # [s] between two attempts
+PAUSE_PERIOD = 3600.0  # [s] between two looks of a paused run at requests, which also wake it up
+_MOST_ATTEMPTS = 2**16 - 1  # that a goal can count
 
 
 class Decision(NamedTuple):
     """What happens after an answer of the machine.
 
     Attributes:
-        action: "accept" the answer as the outcome, try "again" after `delay`, "wait" for a lost machine
-            to return, or "fail": the run ends.
+        action: "accept" the answer as the outcome, try "again" after `delay`, "wait" until the machine is
+            back or allows to move, "pause" until an operator resumes, or "fail": the run ends.
         delay: Time until the next attempt [s].
         counts: Whether the attempt counts against `max_attempts`.
     """
 
-    action: Literal["accept", "again", "wait", "fail"]
+    action: Literal["accept", "again", "wait", "pause", "fail"]
     delay: float = 0.0
     counts: bool = True
 
 
 class Loss:
-    """How long a lost machine is waited for: from its loss until it works again.
+    """How long a machine is waited for: from when it was lost or forbade to move until it works again.
 
     Args:
         patience: Time that it is waited for in all [s].
@@ -55,27 +59,30 @@ class Loss:
     def __init__(self, patience: float, clock: Callable[[], float] = time.monotonic) -> None:
         self.patience = patience
         self._clock = clock
-        self._deadline: float | None = None
+        self._began: float | None = None
 
     def begin(self) -> bool:
-        """Note that the machine was lost; return whether that is new."""
-        new = self._deadline is None
+        """Note that the machine does not work; return whether that is new."""
+        new = self._began is None
         if new:
-            self._deadline = self._clock() + self.patience
+            self._began = self._clock()
         return new
 
-    def end(self) -> None:
-        """Note that the machine works again."""
-        self._deadline = None
+    def end(self) -> float | None:
+        """Note that the machine works; return how long it did not [s], or None if it did all the time."""
+        began, self._began = self._began, None
+        return None if began is None else self._clock() - began
 
     @property
     def active(self) -> bool:
-        """Whether the machine was lost and there is patience left."""
+        """Whether the machine does not work and there is patience left."""
         return self.remaining() > 0.0
 
     def remaining(self) -> float:
-        """Return the patience that is left [s]; 0 if the machine is not lost."""
-        return 0.0 if self._deadline is None else max(0.0, self._deadline - self._clock())
+        """Return the patience that is left [s]; 0 if the machine works."""
+        if self._began is None:
+            return 0.0
+        return max(0.0, self._began + self.patience - self._clock())
 
 
 def decide(answer: Answer, tries: int, loss: Loss, parameters: TunerParameters) -> Decision:
@@ -88,17 +95,26 @@ def decide(answer: Answer, tries: int, loss: Loss, parameters: TunerParameters) 
         parameters: Parameters of the tuner.
     """
     code = answer.error_code
-    if code in _LOST:
-        return Decision("wait", counts=False)
-    if loss.active and code in (_CODES.BUSY, *_REFUSED):
+    if loss.active and code in (_CODES.BUSY, *_FORBIDDEN):
         # It has just returned: it may not be ready, or be on its way back; a bridge that has just
         # started does not know its interlocks yet.
         return Decision("again", parameters.retry_delay, counts=False)
-    # A busy machine may still be stopping what was before, whatever the policy.
-    retried = parameters.on_failure == "retry" and code in (*_FAILED, *_REFUSED)
-    if tries < parameters.max_attempts and (retried or code == _CODES.BUSY):
+    if code in (_CODES.NONE, _CODES.VIOLATION):
+        return Decision("accept")
+    if code in _FAILED:
+        policy = "retry" if parameters.on_failure == "retry" else "accept"
+    elif code in _LOST:
+        policy = parameters.on_fault
+    elif code in _FORBIDDEN:
+        policy = parameters.on_interlock
+    else:
+        # A busy machine may still be stopping what was before, whatever the policy.
+        policy = "retry" if code == _CODES.BUSY else "abort"
+    if policy == "retry" and tries < parameters.max_attempts:
         return Decision("again", min(parameters.retry_delay * 2.0 ** (tries - 1), LONGEST_DELAY))
-    return Decision("accept" if code in (_CODES.NONE, _CODES.VIOLATION, *_FAILED) else "fail")
+    if policy in ("wait", "pause"):
+        return Decision("wait" if policy == "wait" else "pause", counts=False)
+    return Decision("accept" if code in _FAILED else "fail")
 
 
 class Attempts:
@@ -125,25 +141,32 @@ class Attempts:
         try:
             return await self._evaluate(run, setpoint)
         finally:
-            run.evaluating = False
+            run.evaluating = run.obstructed = False
 
     async def _evaluate(self, run: Run, setpoint: dict[str, float]) -> Outcome | None:
-        loss = Loss(self._context.parameters.machine_return_timeout)
+        parameters = self._context.parameters
+        lost = Loss(parameters.machine_return_timeout)
+        forbidden = Loss(parameters.interlock_timeout)
         attempts = tries = 0
         while True:
             try:
-                answer = await self._attempt(run, setpoint, attempts, loss)
+                answer = await self._attempt(run, setpoint, attempts, (lost, forbidden))
             except BoundsError as error:
                 return self._out_of_bounds(run, f"the bounds were changed: {error}", attempts)
             attempts += 1
             if answer.error_code == _CODES.NONE:
                 return Outcome(answer, attempts)
             if not _stopped(run):
-                decision = decide(answer, tries + 1, loss, self._context.parameters)
+                self._context.status.fail(f"evaluation {run.index}: {answer.error_msg}")
+                decision = decide(answer, tries + 1, lost, parameters)
                 if decision.action == "accept":
                     return Outcome(answer, attempts)
                 tries += decision.counts
-                await self._follow(run, decision, answer, loss)
+                run.obstructed = decision.action in ("wait", "pause")
+                waiting = lost if answer.error_code in _LOST else forbidden
+                await self._follow(run, decision, answer, waiting)
+                if run.obstructed and run.steering.stopping:
+                    return None
             if run.interrupted:
                 return None
             if run.steering.skip.done():
@@ -159,38 +182,18 @@ class Attempts:
     def _canceled(self, reason: str) -> Answer:
         return Answer(_CODES.CANCELED, reason, self._context.stamp())
 
-    async def _follow(self, run: Run, decision: Decision, answer: Answer, loss: Loss) -> None:
-        """Do what was decided before the next attempt.
-
-        Raises:
-            RunError: If there is no next attempt.
-        """
-        if decision.action == "wait":
-            await self._await_return(run, answer.error_msg, loss)
-        elif decision.action == "fail":
-            what = "stopped: "
-            if answer.error_code != _CODES.CANCELED:
-                what = f"refused evaluation {run.index}: "
-            raise RunError(Tune.Result.MACHINE_ERROR, f"the machine {what}{answer.error_msg}")
-        else:
-            if decision.counts:
-                self._warn(run, answer, decision.delay)
-            await self._pause(run, decision.delay)
-
-    def _warn(self, run: Run, answer: Answer, delay: float) -> None:
-        text = f"evaluation {run.index} failed: {answer.error_msg}; next attempt in {delay:g} s"
-        self._context.log.warning(text)
-        self._context.status.set(message=text)
-
     async def _attempt(
-        self, run: Run, setpoint: dict[str, float], attempt: int, loss: Loss
+        self, run: Run, setpoint: dict[str, float], attempt: int, waits: Sequence[Loss]
     ) -> Answer:
-        """Return the machine's answer to one attempt; a machine that does not answer is lost."""
+        """Return the machine's answer to one attempt; a machine that does not answer is lost.
+
+        What was waited for is over as soon as the machine says what it does.
+        """
         context = self._context
         request = EvaluationRequest(
             run_id=run.run_id,
             index=run.index,
-            attempt=attempt,
+            attempt=min(attempt, _MOST_ATTEMPTS),
             setpoint=setpoint,
             shots=context.parameters.shots,
             critical=constraint_messages(run.problem, critical_only=True),
@@ -200,10 +203,15 @@ class Attempts:
         )
 
         def on_feedback(feedback: EvaluateSetpoint.Feedback) -> None:
-            loss.end()
+            run.obstructed = False
+            waited = [seconds for wait in waits if (seconds := wait.end()) is not None]
+            if waited:
+                context.log.info(f"evaluation {run.index} continues after {max(waited):.1f} s")
+                context.status.work(msg.TunerStatus.EVALUATING, "")
             context.status.progress(feedback.phase, feedback.fraction)
 
-        context.status.work(msg.TunerStatus.EVALUATING)
+        if not any(wait.active for wait in waits):
+            context.status.work(msg.TunerStatus.EVALUATING)
         try:
             answer = await context.gate.evaluate(
                 request, run.problem.units, on_feedback, run.interrupt, run.steering.skip
@@ -219,9 +227,72 @@ class Attempts:
             )
         return answer
 
-    async def _pause(self, run: Run, seconds: float) -> None:
+    # ------------------------------------------------------------------ between two attempts
+
+    async def _follow(self, run: Run, decision: Decision, answer: Answer, loss: Loss) -> None:
+        """Do what was decided before the next attempt.
+
+        Raises:
+            RunError: If there is no next attempt.
+        """
+        reason, lost = answer.error_msg, answer.error_code in _LOST
+        if decision.action == "pause":
+            await self._await_operator(run, reason)
+        elif decision.action == "wait":
+            self._check_patience(run, reason, loss, lost)
+            await (self._await_return if lost else self._await_permit)(run, reason, loss)
+        elif decision.action == "fail":
+            if lost:
+                raise RunError(Tune.Result.MACHINE_LOST, reason)
+            what = "stopped: "
+            if answer.error_code != _CODES.CANCELED:
+                what = f"refused evaluation {run.index}: "
+            raise RunError(Tune.Result.MACHINE_ERROR, f"the machine {what}{reason}")
+        elif decision.counts:
+            text = f"evaluation {run.index} failed: {reason}; next attempt in {decision.delay:g} s"
+            self._context.log.warning(text)
+            self._context.status.set(message=text)
+            await self._sleep(run, decision.delay)
+        else:
+            self._context.status.work(
+                msg.TunerStatus.WAITING, f"{reason}; waiting until the machine is ready"
+            )
+            await self._sleep(run, decision.delay)
+
+    def _check_patience(self, run: Run, reason: str, loss: Loss, lost: bool) -> None:
+        """Check that there is patience left, and say when a wait begins.
+
+        Raises:
+            RunError: If there is none.
+        """
+        new = loss.begin()
+        if loss.active:
+            if new:
+                self._context.log.warning(
+                    f"evaluation {run.index}: {reason}; the run waits up to {loss.patience:g} s"
+                )
+            return
+        if lost:
+            raise RunError(Tune.Result.MACHINE_LOST, reason)
+        after = f", for {loss.patience:g} s now" if loss.patience > 0.0 else ""
+        raise RunError(
+            Tune.Result.MACHINE_ERROR,
+            f"the machine refused evaluation {run.index}: {reason}{after}",
+        )
+
+    async def _sleep(self, run: Run, seconds: float, *wake: Future) -> None:
         timeout = max(seconds, SHORTEST_DELAY)
-        await first_of(self._context.node, run.interrupt, run.steering.skip, timeout=timeout)
+        await first_of(self._context.node, run.interrupt, run.steering.skip, *wake, timeout=timeout)
+
+    async def _await_permit(self, run: Run, reason: str, loss: Loss) -> None:
+        """Wait a little while the machine forbids to move; only the next attempt shows whether it does."""
+        left = loss.remaining()
+        self._context.status.work(
+            msg.TunerStatus.WAITING,
+            f"{reason}; waiting up to {loss.patience:g} s, {left:.0f} s are left",
+        )
+        delay = min(self._context.parameters.retry_delay, left)
+        await self._sleep(run, delay, run.steering.stop)
 
     async def _await_return(self, run: Run, reason: str, loss: Loss) -> None:
         """Wait until the lost machine is there again, or the run is interrupted.
@@ -230,15 +301,14 @@ class Attempts:
             RunError: If it did not return in time.
         """
         context, patience = self._context, loss.patience
-        if patience <= 0.0:
-            raise RunError(Tune.Result.MACHINE_LOST, reason)
-        if loss.begin():
-            context.log.warning(f"{reason}; the run waits up to {patience:g} s for its return")
-        context.status.work(msg.TunerStatus.WAITING, f"{reason}; waiting for its return")
+        context.status.work(
+            msg.TunerStatus.WAITING,
+            f"{reason}; waiting for its return up to {patience:g} s, {loss.remaining():.0f} s are left",
+        )
         try:
-            await self._pause(run, context.parameters.retry_delay)
+            await self._sleep(run, context.parameters.retry_delay, run.steering.stop)
             machine = await context.gate.describe(
-                loss.remaining(), run.interrupt, run.steering.skip
+                loss.remaining(), run.interrupt, run.steering.skip, run.steering.stop
             )
             if machine is None:
                 return
@@ -250,6 +320,19 @@ class Attempts:
         except ProblemError as error:
             raise RunError(Tune.Result.MACHINE_LOST, f"{reason}; {error}") from None
         context.log.info(f"'{machine.name}' is there again")
+
+    async def _await_operator(self, run: Run, reason: str) -> None:
+        """Pause before the next attempt, until an operator resumes or steps the run."""
+        context, steering = self._context, run.steering
+        steering.pause(reason)
+        text = f"paused during evaluation {run.index}: {reason}"
+        context.log.warning(text)
+        while steering.waits and not (_stopped(run) or steering.stopping):
+            context.status.work(msg.TunerStatus.PAUSED, text)
+            await first_of(
+                context.node, run.interrupt, steering.skip, steering.news, timeout=PAUSE_PERIOD
+            )
+        steering.take_step()
         context.status.set(message="")
 
 

@@ -63,6 +63,15 @@ class Fallbacks:
             if trouble:
                 raise RunError(Tune.Result.INVALID_GOAL, f"{event} is '{RESTORE}', but {trouble}")
 
+    def hints(self, run: Run) -> list[str]:
+        """Return which policies would not do what they say, as the bounds were changed."""
+        found = []
+        for event in EVENTS:
+            trouble = blocked_restore(self._policy(event), run, self._context.gate)
+            if trouble:
+                found.append(f"{event} is '{RESTORE}', but the machine would hold: {trouble}")
+        return found
+
     def target(self, run: Run, event: str) -> Target | None:
         """Return where the machine goes at an event; None if it holds."""
         return fallback_target(self._policy(event), run, self._context.gate)

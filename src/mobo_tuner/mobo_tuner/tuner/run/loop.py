@@ -19,12 +19,11 @@ from mobo_tuner.tuner.gate import BoundsError, Gate, Target, check_bounds
 from mobo_tuner.tuner.machine_client import MachineLostError
 from mobo_tuner.tuner.messages import evaluation_message
 from mobo_tuner.tuner.parameters import TunerParameters
-from mobo_tuner.tuner.run.attempts import Attempts
+from mobo_tuner.tuner.run.attempts import PAUSE_PERIOD, Attempts
 from mobo_tuner.tuner.run.fallbacks import Fallbacks
 from mobo_tuner.tuner.run.run import Run, RunError, Suggestion
 from mobo_tuner.tuner.session import Session
 
-PAUSE_PERIOD = 3600.0  # [s] between two looks of a paused run at requests, which also wake it up
 CHUNK = 20  # evaluations of an earlier run that are published before the next wait
 ACKNOWLEDGE_TIMEOUT = 2.0  # [s] for the subscribers to receive a chunk
 _AT_ONCE = Duration(nanoseconds=1)
@@ -54,6 +53,7 @@ class RunLoop:
         self._session = session
         self._fallbacks = Fallbacks(context)
         self._attempts = Attempts(context, self._fallbacks)
+        self._hinted: tuple[str, ...] = ()  # what was logged last
 
     async def carry_out(self, run: Run, listener: Listener) -> Ending:
         """Carry out a run; whatever happens, its journal is closed at the end.
@@ -88,6 +88,7 @@ class RunLoop:
         try:
             await self._begin(run)
             await self._repeat(run, listener)
+            await self._withdraw(run)
         except Exception as error:
             code = error.code if isinstance(error, RunError) else _CODES.INTERNAL
             text = str(error) if isinstance(error, RunError) else describe(error)
@@ -132,20 +133,22 @@ class RunLoop:
             RunError: If no suitable machine answers.
         """
         context = self._context
-        context.status.set(publish=False, stop_reason="", run_id=run.run_id)
-        context.status.work(msg.TunerStatus.WAITING, "")
+        patience = context.parameters.discovery_timeout
+        context.status.set(publish=False, stop_reason="", run_id=run.run_id, last_failure="")
+        context.status.work(
+            msg.TunerStatus.WAITING, f"waiting up to {patience:g} s for a machine to answer"
+        )
         self._publish_all(run)
         await self._publish_earlier(run)
         try:
-            machine = await context.gate.describe(
-                context.parameters.discovery_timeout, run.interrupt
-            )
+            machine = await context.gate.describe(patience, run.interrupt)
             if machine is None:
                 return
             run.meet(machine)
         except (MachineLostError, ProblemError) as error:
             raise RunError(_CODES.MACHINE_UNAVAILABLE, str(error)) from None
         await self._fallbacks.prepare(run)
+        context.status.set(message="")
         context.log.info(f"run '{run.run_id}' tunes '{machine.name}'")
 
     async def _publish_earlier(self, run: Run) -> None:
@@ -173,7 +176,12 @@ class RunLoop:
             feasible=run.found.feasible,
             hypervolume=run.found.hypervolume,
             hypervolume_measured=run.found.hypervolume_measured,
+            hints=[*self._fallbacks.hints(run), *run.hints],
         )
+        for hint in run.hints:
+            if hint not in self._hinted:
+                self._context.log.warning(f"run '{run.run_id}': {hint}")
+        self._hinted = run.hints
 
     # ------------------------------------------------------------------ between two evaluations
 
@@ -187,7 +195,7 @@ class RunLoop:
         while True:
             if run.interrupted or steering.stopping:
                 return None
-            if steering.change is not None:
+            if steering.changes:
                 if await self._suggested(run, suggestion) is None:
                     return None
                 await self._apply_change(run)
@@ -197,12 +205,12 @@ class RunLoop:
             suggested = await self._suggested(run, suggestion)
             if run.interrupted or suggested is None:
                 return None
-            if steering.change is not None or steering.stopping:
+            if steering.changes or steering.stopping:
                 continue
             if not steering.waits:
                 break
-            self._context.status.set(
-                state=msg.TunerStatus.PAUSED, message=f"paused before evaluation {run.index}"
+            self._context.status.work(
+                msg.TunerStatus.PAUSED, f"paused before evaluation {run.index}: {steering.reason}"
             )
             await first_of(self._context.node, run.interrupt, steering.news, timeout=PAUSE_PERIOD)
         self._context.status.set(message="")
@@ -231,11 +239,21 @@ class RunLoop:
         return suggested
 
     async def _apply_change(self, run: Run) -> None:
+        await self._withdraw(run)
         change, run.steering.change = run.steering.change, None
-        assert change is not None
+        if change is None:
+            return
         await self._context.worker.submit(run.apply, change, self._context.stamp())
         self._context.log.info(f"run '{run.run_id}' is changed before evaluation {run.index}")
         self._publish_all(run)
+
+    async def _withdraw(self, run: Run) -> None:
+        """Forget what operators withdraw."""
+        waiting = run.steering.withdrawals
+        while waiting:
+            await self._context.worker.submit(run.withdraw, waiting[0])
+            waiting.popleft()  # not before it is done: a request meanwhile is checked against it
+            self._publish_all(run)
 
     # ------------------------------------------------------------------ an evaluation
 
@@ -259,7 +277,7 @@ class RunLoop:
             self._context.log.warning(text)
         verdict = judge(record, run.consecutive_failures, self._context.parameters)
         if verdict.action == "pause":
-            run.steering.pause()
+            run.steering.pause(verdict.reason)
         elif verdict.action == "end":
             raise RunError(_CODES.MACHINE_ERROR, verdict.reason)
 
@@ -284,7 +302,7 @@ def take_queued(run: Run, gate: Gate) -> tuple[dict[str, float] | None, list[str
 
 
 class Verdict(NamedTuple):
-    """Whether a run continues after an evaluation, pauses or ends, and for what reason it ends."""
+    """Whether a run continues after an evaluation, pauses or ends, and for what reason."""
 
     action: Literal["continue", "pause", "end"]
     reason: str = ""
@@ -296,13 +314,16 @@ def judge(
     """Judge whether a run continues after an evaluation."""
     if not record.failed or record.error_code == EvaluateSetpoint.Result.CANCELED:
         return Verdict("continue")
+    reason = f"evaluation {record.index} failed: {record.error_msg}"
     if parameters.on_failure == "abort":
-        return Verdict("end", f"evaluation {record.index} failed: {record.error_msg}")
+        return Verdict("end", reason)
     limit = parameters.max_consecutive_failures
     if consecutive_failures >= limit:
         return Verdict("end", f"{limit} evaluations failed in a row: {record.error_msg}")
     violated = record.error_code == EvaluateSetpoint.Result.VIOLATION
-    return Verdict("pause" if violated and parameters.pause_on_violation else "continue")
+    if parameters.on_failure == "pause" or (violated and parameters.pause_on_violation):
+        return Verdict("pause", reason)
+    return Verdict("continue")
 
 
 def publish_run(context: TunerContext, run: Run) -> None:

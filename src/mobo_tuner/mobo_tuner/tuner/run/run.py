@@ -15,8 +15,10 @@ from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint
 from mobo_msgs_py.srv import DescribeMachine
 from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.runs.hints import Hints, run_hints
 from mobo_tuner.runs.history import SETPOINT, told, told_of
-from mobo_tuner.runs.records import ChangeRecord, EvaluationRecord, Source
+from mobo_tuner.runs.records import ChangeRecord, EvaluationRecord, ForgetRecord, Source
+from mobo_tuner.runs.replay import withdraw
 from mobo_tuner.runs.run_log import RunLog
 from mobo_tuner.tuner.machine_client import Answer
 from mobo_tuner.tuner.messages import (
@@ -65,6 +67,7 @@ class Findings:
         hypervolume: Hypervolume of the front.
         hypervolume_measured: Hypervolume of the complete readings as they are.
         front: Pareto front, as `Optimizer.pareto_front` gives it.
+        withdrawn: What was forgotten: the index of an evaluation, and a diagnostic or None for all of it.
     """
 
     problem: Problem
@@ -75,6 +78,7 @@ class Findings:
     hypervolume: float
     hypervolume_measured: float
     front: Sequence[Mapping[str, Any]]
+    withdrawn: frozenset[tuple[int, str | None]] = frozenset()
 
     @classmethod
     def of(cls, optimizer: Optimizer) -> Findings:
@@ -89,6 +93,7 @@ class Findings:
             hypervolume=optimizer.hypervolume,
             hypervolume_measured=optimizer.hypervolume_measured,
             front=tuple(optimizer.pareto_front()),
+            withdrawn=frozenset(optimizer.dataset.withdrawn),
         )
 
 
@@ -112,9 +117,12 @@ class Run:
         by_client: Whether a client asks and tells by itself.
         changeable: Whether its problem and budget may be changed.
         evaluating: Whether an evaluation is in flight, also while it waits for its next attempt.
+        obstructed: Whether that evaluation waits until the machine is back, allows to move, or an operator
+            resumes.
         consecutive_failures: Number of failed evaluations at the end of the finished ones.
         step_started: When the evaluation before ended, by `time.perf_counter` [s].
         found: What the run has found so far.
+        hints: What keeps it from getting anywhere, each with what to do.
     """
 
     run_id: str
@@ -131,9 +139,12 @@ class Run:
     by_client: bool = False
     changeable: bool = True
     evaluating: bool = False
+    obstructed: bool = False
     consecutive_failures: int = 0
     step_started: float = field(default_factory=time.perf_counter)
     found: Findings = field(init=False)
+    hints: tuple[str, ...] = ()
+    _shown: Hints = field(default_factory=Hints)
 
     def __post_init__(self) -> None:
         self.found = Findings.of(self.optimizer)
@@ -242,6 +253,7 @@ class Run:
         self.step_started = now
         self.log.append(record)
         self.records.append((self.problem, record))
+        self._look_for_hints()
         if answer.error_code != EvaluateSetpoint.Result.CANCELED:  # skipping is not a failure
             self.consecutive_failures = self.consecutive_failures + 1 if record.failed else 0
         return record
@@ -264,7 +276,33 @@ class Run:
             self.optimizer = self.optimizer.with_problem(change.problem)
         self.budget = change.budget
         self.found = Findings.of(self.optimizer)
+        self._look_for_hints()
         self.log.append(ChangeRecord(stamp, self.index, change.problem, change.budget))
+
+    def withdraw(self, request: ForgetRecord) -> None:
+        """Forget an evaluation or a diagnostic of it, or learn it again, which the journal keeps.
+
+        Raises:
+            ProblemError: If there is no such evaluation, or it has no such diagnostic.
+            OSError: If the journal cannot be written.
+        """
+        record = replace(request, index=self.index)
+        withdraw(self.optimizer, record)
+        self.found = Findings.of(self.optimizer)
+        self._look_for_hints()
+        self.log.append(record)
+
+    def _look_for_hints(self) -> None:
+        machine = self.machine.variables if self.machine is not None else ()
+        forgotten = {index for index, name in self.found.withdrawn if name is None}
+        found = run_hints(
+            self.problem,
+            [record for _, record in self.records if record.index not in forgotten],
+            [point["setpoint"] for point in self.found.front],
+            {v.name: (v.min, v.max) for v in machine},
+            self.optimizer.hints(),
+        )
+        self.hints = self._shown.update(found, self.index)
 
     def save(self) -> None:
         """Keep the optimiser's state beside the journal."""

@@ -13,7 +13,13 @@ from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import read_journal
 from mobo_tuner.runs.optimizer_settings import kept_settings, make_optimizer
-from mobo_tuner.runs.records import ChangeRecord, EvaluationRecord, Record, StartRecord
+from mobo_tuner.runs.records import (
+    ChangeRecord,
+    EvaluationRecord,
+    ForgetRecord,
+    Record,
+    StartRecord,
+)
 from mobo_tuner.runs.replay import restore
 from mobo_tuner.runs.run_id import check_run_id, new_run_id
 from mobo_tuner.runs.run_log import RunLog
@@ -169,7 +175,7 @@ def _with_problems(history: History) -> list[tuple[Problem, EvaluationRecord]]:
     for step in history.steps:
         if isinstance(step, ChangeRecord):
             problem = step.problem
-        else:
+        elif isinstance(step, EvaluationRecord):
             found.append((problem, step))
     return found
 
@@ -234,7 +240,17 @@ def start_holding(
         optimizer=focused,
         interrupt=interrupt,
         changeable=False,
-        log=RunLog(parameters.run_dir(run_id), start, [record for _, record in run.records]),
+        log=RunLog(
+            parameters.run_dir(run_id),
+            start,
+            [
+                *(record for _, record in run.records),
+                *(
+                    ForgetRecord(stamp, run.index, index, name or "")
+                    for index, name in focused.dataset.withdrawn
+                ),
+            ],
+        ),
         model_input=run.model_input,
         records=list(run.records),
     )

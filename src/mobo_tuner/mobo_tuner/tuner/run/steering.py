@@ -12,6 +12,7 @@ from typing import NamedTuple
 from rclpy.task import Future
 
 from mobo_tuner.core import Problem
+from mobo_tuner.runs.records import ForgetRecord
 
 
 class Change(NamedTuple):
@@ -27,17 +28,21 @@ class Steering:
 
     Attributes:
         paused: Whether the run waits before the next evaluation.
+        reason: Reason of the pause, in a few words.
         steps: Number of evaluations that it may make although it is paused.
-        stopping: Whether it ends before the next evaluation.
+        stop: Done when the run must end before the next evaluation.
         change: Change that takes effect before the next evaluation.
+        withdrawals: Evaluations and diagnostics to forget, or to learn again, before the next suggestion.
         queue: Set-points of operators, evaluated before the next suggestion.
         falling_back: Whether the run is over and the machine is moved; a request to skip stops it.
     """
 
     paused: bool = False
+    reason: str = ""
     steps: int = 0
-    stopping: bool = False
+    stop: Future = field(default_factory=Future)
     change: Change | None = None
+    withdrawals: deque[ForgetRecord] = field(default_factory=deque)
     queue: deque[dict[str, float]] = field(default_factory=deque)
     falling_back: bool = False
     _news: Future = field(default_factory=Future)
@@ -56,6 +61,11 @@ class Steering:
         return self._skip
 
     @property
+    def changes(self) -> bool:
+        """Whether something was requested that a suggestion depends on."""
+        return self.change is not None or bool(self.withdrawals)
+
+    @property
     def waits(self) -> bool:
         """Whether the run may not make its next evaluation now."""
         return self.paused and not self.steps
@@ -65,20 +75,30 @@ class Steering:
         if not self._news.done():
             self._news.set_result(None)
 
-    def pause(self) -> None:
-        """Wait before the next evaluation."""
-        self.paused = True
+    @property
+    def stopping(self) -> bool:
+        """Whether the run must end before the next evaluation."""
+        return self.stop.done()
+
+    def pause(self, reason: str) -> None:
+        """Wait before the next evaluation, for a reason that is shown."""
+        self.paused, self.reason = True, reason
         self.steps = 0
 
     def resume(self) -> None:
         """Do not wait any more."""
-        self.paused = False
+        self.paused, self.reason = False, ""
         self.steps = 0
 
-    def step(self) -> None:
-        """Make one more evaluation, then wait."""
-        self.paused = True
+    def step(self, reason: str) -> None:
+        """Make one more evaluation, then wait, for a reason that is shown."""
+        self.paused, self.reason = True, reason
         self.steps += 1
+
+    def request_stop(self) -> None:
+        """End before the next evaluation."""
+        if not self.stop.done():
+            self.stop.set_result(None)
 
     def request_skip(self) -> None:
         """Skip the evaluation in flight."""

@@ -9,6 +9,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
 from mobo_tuner.core import Problem
+from mobo_tuner.core.settings import COSTS
 from mobo_tuner.errors import ParameterError, UserError
 from mobo_tuner.tuner.context import TunerContext
 from mobo_tuner.tuner.messages import machine_facts
@@ -52,11 +53,28 @@ class ParameterChanges:
                     f"evaluations is {budget}; more than the {run.index} that are finished are "
                     "allowed, and stop_after_this ends a run"
                 )
+            self._check_effect(problem_changes)
             if problem_changes:
                 self._check_problem(self._parameters.with_changes(problem_changes))
         except UserError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _check_effect(self, changes: Mapping[str, Any]) -> None:
+        """Check that what is set has an effect.
+
+        Raises:
+            ParameterError: If it has none.
+        """
+        costs = [
+            name for name in changes if name.startswith("variables.") and name.endswith("cost")
+        ]
+        proximal = self._context.parameters.values["proximal"]
+        if costs and proximal != COSTS:
+            raise ParameterError(
+                f"{costs[0]} has no effect: proximal is {'null' if proximal is None else proximal}; "
+                f"only with 'proximal: {COSTS}' in the tuner's section of the file do costs count"
+            )
 
     def _check_problem(self, problem: Problem) -> None:
         run = self._session.run

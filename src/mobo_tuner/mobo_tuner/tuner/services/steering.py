@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 
 from std_srvs.srv import Trigger
 
-from mobo_msgs_py.srv import QueueSetpoint
+from mobo_msgs_py.srv import ForgetEvaluation, QueueSetpoint
 from mobo_tuner.core import ProblemError
-from mobo_tuner.errors import UserError
+from mobo_tuner.errors import MessageError, UserError
 from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.conversions import unique_values
-from mobo_tuner.runs.records import QueuedRecord
+from mobo_tuner.runs.records import ForgetRecord, QueuedRecord
 from mobo_tuner.tuner.context import TunerContext
 from mobo_tuner.tuner.gate import Gate, Target, check_bounds
 from mobo_tuner.tuner.run.run import Run
@@ -21,7 +21,7 @@ MAX_QUEUED = 1000  # set-points
 
 
 class SteeringServices:
-    """Serves `pause`, `resume`, `step`, `skip`, `stop_after_this` and `queue_setpoint`.
+    """Serves `pause`, `resume`, `step`, `skip`, `stop_after_this`, `queue_setpoint`, `forget`, `unforget`.
 
     Args:
         context: The tuner's node and what works in it.
@@ -40,6 +40,8 @@ class SteeringServices:
         ):
             service.server(context.node, self._trigger(service.name, action))
         interfaces.QUEUE_SETPOINT.server(context.node, self._queue)
+        for service, withdrawn in ((interfaces.FORGET, True), (interfaces.UNFORGET, False)):
+            service.server(context.node, self._withdrawal(service.name, withdrawn))
 
     def _trigger(
         self, name: str, action: Callable[[Run], str]
@@ -56,6 +58,34 @@ class SteeringServices:
                 return response
             response.success = True
             run.steering.notify()
+            self._context.log.info(f"run '{run.run_id}', {name}: {response.message}")
+            return response
+
+        return serve
+
+    def _withdrawal(
+        self, name: str, withdrawn: bool
+    ) -> Callable[[ForgetEvaluation.Request, ForgetEvaluation.Response], ForgetEvaluation.Response]:
+        def serve(
+            request: ForgetEvaluation.Request, response: ForgetEvaluation.Response
+        ) -> ForgetEvaluation.Response:
+            run = self._session.run
+            if run is None:
+                response.message = f"'{name}' needs an active run; there is none"
+                return response
+            stamp = self._context.stamp()
+            record = ForgetRecord(stamp, run.index, request.index, request.diagnostic, withdrawn)
+            try:
+                check_withdrawal(run, record)
+            except UserError as error:
+                response.message = str(error)
+                return response
+            run.steering.withdrawals.append(record)
+            run.steering.notify()
+            response.success = True
+            what = f"{record.diagnostic} of " if record.diagnostic else ""
+            counts = "counts as never measured" if withdrawn else "counts again"
+            response.message = f"{what}evaluation {record.evaluation} {counts}"
             self._context.log.info(f"run '{run.run_id}', {name}: {response.message}")
             return response
 
@@ -97,8 +127,43 @@ def check_queued(run: Run, gate: Gate, setpoint: Mapping[str, float]) -> None:
     gate.check(Target(setpoint))
 
 
+def check_withdrawal(run: Run, record: ForgetRecord) -> None:
+    """Check that there is something to withdraw, or a withdrawal to end.
+
+    Raises:
+        MessageError: If there is not.
+    """
+    if record.evaluation >= len(run.records):
+        known = f"0 to {len(run.records) - 1} are allowed" if run.records else "there is none yet"
+        raise MessageError(f"evaluation {record.evaluation} is unknown: {known}")
+    name = record.diagnostic or None
+    measured = run.records[record.evaluation][1].diagnostics
+    if name is not None and name not in measured:
+        raise MessageError(
+            f"evaluation {record.evaluation} has no diagnostic '{name[:80]}'; "
+            f"it has {', '.join(measured) or 'none'}"
+        )
+    withdrawn = {name for index, name in run.found.withdrawn if index == record.evaluation}
+    for earlier in run.steering.withdrawals:
+        if earlier.evaluation != record.evaluation:
+            continue
+        if earlier.withdrawn:
+            withdrawn.add(earlier.diagnostic or None)
+        elif earlier.diagnostic:
+            withdrawn.discard(earlier.diagnostic)
+        else:
+            withdrawn.clear()
+    what = (
+        f"{name} of evaluation {record.evaluation}" if name else f"evaluation {record.evaluation}"
+    )
+    if record.withdrawn and name in withdrawn:
+        raise MessageError(f"{what} is withdrawn already")
+    if not record.withdrawn and not (name in withdrawn or (name is None and withdrawn)):
+        raise MessageError(f"{what} was not withdrawn")
+
+
 def _pause(run: Run) -> str:
-    run.steering.pause()
+    run.steering.pause("an operator asked for it")
     return f"the run pauses before evaluation {run.index + (1 if run.evaluating else 0)}"
 
 
@@ -108,7 +173,7 @@ def _resume(run: Run) -> str:
 
 
 def _step(run: Run) -> str:
-    run.steering.step()
+    run.steering.step("an operator makes single evaluations")
     count = run.steering.steps
     return f"{count} more evaluation{'s' if count > 1 else ''}, then a pause"
 
@@ -124,5 +189,6 @@ def _skip(run: Run) -> str:
 
 
 def _stop_after_this(run: Run) -> str:
-    run.steering.stopping = True
-    return f"the run ends {'after' if run.evaluating else 'before'} evaluation {run.index}"
+    run.steering.request_stop()
+    measuring = run.evaluating and not run.obstructed
+    return f"the run ends {'after' if measuring else 'before'} evaluation {run.index}"

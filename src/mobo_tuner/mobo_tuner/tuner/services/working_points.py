@@ -249,7 +249,7 @@ class WorkingPoints:
             RunError: If the machine did not arrive.
         """
         context = self._context
-        context.status.work(msg.TunerStatus.MOVING)
+        context.status.work(msg.TunerStatus.MOVING, "")
 
         def on_feedback(feedback: Any) -> None:
             context.status.progress(feedback.phase, feedback.fraction)
