@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from mobo_tuner.client import Evaluation, Front, Status
-from mobo_tuner.core.problem import Objective, Problem
+from mobo_tuner.core.problem import Constraint, Objective, Problem
 from mobo_tuner.displays.console_view import PlainView, evaluation_line, render
 from mobo_tuner.displays.progress import RunProgress
 
@@ -99,3 +99,33 @@ def test_the_plain_view_says_once_why_the_run_waits() -> None:
         "paused: by hand",
         evaluation_line(EVALUATION, 60),
     ]
+
+
+def test_figures_are_those_of_the_problem_as_it_is_now() -> None:
+    progress = RunProgress(60)
+    objectives = (Objective("eps_x", 150.0), Objective("yield", 0.0, "maximize"))
+    progress.set_problem(Problem((), objectives))
+    good = replace(
+        EVALUATION, objectives={"eps_x": 9.0, "yield": 0.25}, diagnostics={"yield": (0.25, 0.1)}
+    )
+    progress.add(good)
+    progress.add(replace(EVALUATION, index=32))
+    assert progress.best("eps_x") == (9.0, 31)
+    progress.set_problem(Problem((), objectives, (Constraint("yield", minimum=0.4),)))
+    assert progress.best("eps_x") == (32.5, 32)
+    assert progress.feasible == 1
+    progress.set_status(Status("paused", "run", 2, feasible=1, failed=1, hypervolume=7.5))
+    assert (progress.feasible, progress.failed, progress.hypervolume) == (1, 1, 7.5)
+    assert "hypervolume 7.5" in shown(progress)
+
+
+def test_hints_are_shown_once_and_stay_in_the_live_view() -> None:
+    hint = "x reads in steps of 0.25 A"
+    stream = io.StringIO()
+    view = PlainView("run", 60, stream)
+    for status in (Status("evaluating", hints=(hint,)), Status("paused", hints=(hint,))):
+        view.status(status)
+    assert stream.getvalue().splitlines() == [f"hint: {hint}"]
+    progress = RunProgress(60)
+    progress.set_status(Status("evaluating", hints=(hint,)))
+    assert hint in shown(progress)

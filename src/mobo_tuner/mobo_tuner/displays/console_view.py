@@ -135,6 +135,7 @@ class PlainView(RunView):
         super().__init__(run_id, budget)
         self._stream = stream
         self._wait = ""
+        self._hints: tuple[str, ...] = ()
         self._closed = False
 
     def stage(self, text: str) -> None:
@@ -161,6 +162,10 @@ class PlainView(RunView):
         if wait and wait != self._wait:
             self._print(f"{status.state}: {wait}")
         self._wait = wait
+        for text in status.hints:
+            if text not in self._hints:
+                self._print(f"hint: {text}")
+        self._hints = status.hints
 
     def close(self) -> None:
         """Print no more."""
@@ -197,6 +202,8 @@ def render(run_id: str, progress: RunProgress, stage: str = "", hint: str = "") 
     head.append(f"   {stage or _activity(progress.status)}", "cyan")
     if progress.status.message:
         head.append(f"\n{progress.status.message}", "yellow")
+    for text in progress.status.hints:
+        head.append(f"\nhint: {text}", "yellow")
     if hint:
         head.append(f"\n{hint}", "bold")
     if progress.last is None:

@@ -17,8 +17,6 @@ class RunProgress:
         budget: Number of evaluations asked for; 0 until it is known.
         last: Evaluation that came last; None before the first.
         evaluations: Number of finished evaluations.
-        failed: Number of those that are not valid.
-        feasible: Number of those that are feasible.
         status: Status that the tuner published last.
         front_size: Number of points on the Pareto front.
     """
@@ -27,19 +25,21 @@ class RunProgress:
         self.budget = budget
         self.last: Evaluation | None = None
         self.evaluations = 0
-        self.failed = 0
-        self.feasible = 0
         self.status = Status("unknown")
         self.front_size = 0
         self._started = time.monotonic()
-        self._maximized: set[str] = set()
-        self._extremes: dict[str, tuple[tuple[float, int], tuple[float, int]]] = {}
+        self._problem: Problem | None = None
+        self._made: list[Evaluation] = []
+        self._best: dict[str, tuple[float, int]] = {}
         self._suggest_seconds: list[float] = []
         self._total_seconds: list[float] = []
 
     def set_problem(self, problem: Problem) -> None:
-        """Take over which objectives are maximised."""
-        self._maximized = {o.name for o in problem.objectives if o.direction == "maximize"}
+        """Take over what is tuned, by which all evaluations so far are judged again."""
+        self._problem = problem
+        self._best.clear()
+        for evaluation in self._made:
+            self._judge(evaluation)
 
     def set_status(self, status: Status) -> None:
         """Take over what the tuner does."""
@@ -54,26 +54,34 @@ class RunProgress:
         """Take over one evaluation."""
         self.last = evaluation
         self.evaluations += 1
-        self.failed += not evaluation.valid
-        self.feasible += evaluation.feasible
+        self._made.append(evaluation)
+        self._judge(evaluation)
         self._suggest_seconds.append(evaluation.suggest_seconds)
         self._total_seconds.append(evaluation.total_seconds)
-        if evaluation.feasible:
-            for name, value in evaluation.objectives.items():
-                here = (value, evaluation.index)
-                low, high = self._extremes.get(name, (here, here))
-                self._extremes[name] = (min(low, here), max(high, here))
 
     def best(self, name: str) -> tuple[float, int] | None:
         """Return the best feasible value of an objective and the index of its evaluation."""
-        if name not in self._extremes:
-            return None
-        low, high = self._extremes[name]
-        return high if name in self._maximized else low
+        return self._best.get(name)
+
+    @property
+    def failed(self) -> int:
+        """Number of evaluations that failed, by the problem as it is now."""
+        if self._is_current:
+            return self.status.failed
+        return sum(not evaluation.valid for evaluation in self._made)
+
+    @property
+    def feasible(self) -> int:
+        """Number of evaluations that are feasible, by the problem as it is now."""
+        if self._is_current:
+            return self.status.feasible
+        return sum(self._is_feasible(evaluation) for evaluation in self._made)
 
     @property
     def hypervolume(self) -> float:
-        """Hypervolume of the front after the latest evaluation."""
+        """Hypervolume of the front, by the problem as it is now."""
+        if self._is_current:
+            return self.status.hypervolume
         return self.last.hypervolume if self.last else 0.0
 
     @property
@@ -90,6 +98,31 @@ class RunProgress:
     def seconds_left(self) -> float:
         """Time that the rest of the budget will take [s]; NaN before the first evaluation."""
         return max(self.budget - self.evaluations, 0) * _median(self._total_seconds)
+
+
+    @property
+    def _is_current(self) -> bool:
+        """Whether the status counts all evaluations that are known here."""
+        return bool(self.status.run_id) and self.status.evaluations >= self.evaluations
+
+    def _judge(self, evaluation: Evaluation) -> None:
+        """Compare an evaluation with the best ones, if it is feasible."""
+        if not self._is_feasible(evaluation):
+            return
+        objectives = () if self._problem is None else self._problem.objectives
+        signs = {o.name: o.sign for o in objectives}
+        for name, value in evaluation.objectives.items():
+            best = self._best.get(name)
+            sign = signs.get(name, 1.0)
+            if best is None or sign * value < sign * best[0]:
+                self._best[name] = (value, evaluation.index)
+
+    def _is_feasible(self, evaluation: Evaluation) -> bool:
+        if self._problem is None:
+            return evaluation.feasible
+        means = {name: mean for name, (mean, _) in evaluation.diagnostics.items()}
+        measured = all(math.isfinite(value) for value in evaluation.objectives.values())
+        return evaluation.valid and measured and self._problem.is_feasible(means)
 
 
 def _median(values: list[float]) -> float:
