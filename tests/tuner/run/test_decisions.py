@@ -134,7 +134,7 @@ def test_the_node_s_parameters_are_attributes_of_the_right_types() -> None:
             assert value == made.values[name]
     made.update({"evaluations": 7})
     assert (made.evaluations, made.values["evaluations"]) == (7, 7)
-    assert made.run_dir("run") is None
+    assert parameters(journal=False).run_dir("run") is None
 
 
 GOOD = replace(EVALUATION, valid=True, error_code=CODES.NONE, error_msg="")

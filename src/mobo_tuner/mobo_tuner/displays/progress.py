@@ -99,7 +99,6 @@ class RunProgress:
         """Time that the rest of the budget will take [s]; NaN before the first evaluation."""
         return max(self.budget - self.evaluations, 0) * _median(self._total_seconds)
 
-
     @property
     def _is_current(self) -> bool:
         """Whether the status counts all evaluations that are known here."""

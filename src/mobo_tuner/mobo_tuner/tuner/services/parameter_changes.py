@@ -15,6 +15,7 @@ from mobo_tuner.tuner.context import TunerContext
 from mobo_tuner.tuner.messages import machine_facts
 from mobo_tuner.tuner.parameters import TUNER
 from mobo_tuner.tuner.problem_parameters import ProblemParameters
+from mobo_tuner.tuner.run.run import Run
 from mobo_tuner.tuner.run.steering import Change
 from mobo_tuner.tuner.session import Session
 
@@ -53,9 +54,9 @@ class ParameterChanges:
                     f"evaluations is {budget}; more than the {run.index} that are finished are "
                     "allowed, and stop_after_this ends a run"
                 )
-            self._check_effect(problem_changes)
             if problem_changes:
                 self._check_problem(self._parameters.with_changes(problem_changes))
+            self._check_effect(problem_changes)
         except UserError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -78,8 +79,12 @@ class ParameterChanges:
 
     def _check_problem(self, problem: Problem) -> None:
         run = self._session.run
-        if run is not None and run.machine is not None:
+        if run is None:
+            return
+        if run.machine is not None:
             problem.check_machine(*machine_facts(run.machine))
+        if run.changeable:
+            check_reach(run, problem)
 
     def _accept(self, parameters: Sequence[Parameter]) -> None:
         problem_changes, own_changes = self._sorted(parameters)
@@ -106,3 +111,13 @@ class ParameterChanges:
         problem = {name: value for name, value in values.items() if self._parameters.owns(name)}
         own = {name: value for name, value in values.items() if name in _WRITABLE}
         return problem, own
+
+
+def check_reach(run: Run, problem: Problem) -> None:
+    """Check that the evaluations of a run are near enough to new bounds for the models.
+
+    Raises:
+        ProblemError: If one is too far away.
+    """
+    for _, record in run.records:
+        problem.normalize(record.setpoint)
