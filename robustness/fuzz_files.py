@@ -40,6 +40,7 @@ from mobo_tuner.runs.rebuild import records_of_bag, runs_of_bag
 from mobo_tuner.runs.recorded_run import RecordedRun
 from mobo_tuner.runs.records import EndRecord
 from mobo_tuner.runs.replay import restore
+from mobo_tuner.runs.report.page import render_page
 from mobo_tuner.runs.report.summary import summarize
 from mobo_tuner.runs.resume_config import resume_config
 from mobo_tuner.runs.saved_state import FILE_NAME as STATE_NAME
@@ -203,7 +204,9 @@ class Fuzzer:
             ).encode()
         (folder / FILE_NAME).write_bytes(content)
         records = read_journal(folder)
-        summarize(RecordedRun.from_records(records))
+        recorded = RecordedRun.from_records(records)
+        summarize(recorded)
+        render_page(recorded, folder)
         history = History.from_records(records)
         if self._rng.random() < 0.05:
             restore(history, SavedState.read(self._run))

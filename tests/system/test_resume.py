@@ -136,12 +136,20 @@ def test_bounds_constraints_and_objectives_may_change_when_a_killed_run_goes_on(
     assert "resumed from run" in out
 
     journal = (run.folder / "journal.jsonl").read_bytes()
-    for name in ("summary.json", "front.png", "hypervolume.png"):
+    for name in ("summary.json", "report.html", "front.png", "hypervolume.png"):
         (run.folder / name).unlink()
     mobo("report", "other", "--runs-dir", run.runs_dir)
     assert json.loads((run.folder / "summary.json").read_text()) == summary
     assert (run.folder / "front.png").exists()
+    assert "This run resumes run" in (run.folder / "report.html").read_text()
     assert (run.folder / "journal.jsonl").read_bytes() == journal
+
+    runs_dir = ("--runs-dir", run.runs_dir)
+    out, _ = mobo("export", "other", "--format", "parquet", *runs_dir)
+    assert out == f"{run.folder / 'evaluations.parquet'}\n"
+    out, _ = mobo("compare", "run", "other", *runs_dir)
+    assert out == f"{run.runs_dir / 'compare.html'}\n"
+    assert "another reference point" in (run.runs_dir / "compare.html").read_text()
 
 
 @pytest.fixture
@@ -165,6 +173,9 @@ def spoilt(tmp_path: Path) -> Path:
         ("resume broken --run-id ../out", "'../out' is not a run id"),
         ("resume ../../etc", "there is no run '../../etc'"),
         ("report broken", "does not begin with a start record"),
+        ("export broken", "does not begin with a start record"),
+        ("compare broken broken", "does not begin with a start record"),
+        ("compare broken nothing", "there is no run 'nothing'"),
         ("replay broken", "does not begin with a start record"),
         ("replay {0}/noise.mcap", "is not an MCAP file"),
         ("rebuild {0}/noise.mcap", "is not an MCAP file"),

@@ -32,7 +32,12 @@ def test_a_run_leaves_a_summary_pictures_a_journal_and_a_bag(start: Callable[...
     assert summary["stop_reason"] == "budget"
     assert summary["reference_point"] == {"f1": 4.3, "f2": 4.3}
     assert summary["hypervolume"] == run.evaluations()[-1]["hypervolume"]
-    assert set(summary["pareto_front"][0]) == {"index", "setpoint", "objectives"}
+    assert summary["hypervolume_measured"] == run.evaluations()[-1]["hypervolume_measured"]
+    told_of_a_point = {"index", "setpoint", "objectives", "stddevs", "predicted", "probability"}
+    assert set(summary["pareto_front"][0]) == told_of_a_point
+    page = (run.folder / "report.html").read_text()
+    assert "The run made 9 evaluations" in page
+    assert "numpy" in page, "the versions of run.json"
     assert set(summary["pareto_front"][0]["setpoint"]) == {"x1", "x2"}
     seconds = summary["seconds"]
     assert 0.0 < seconds["overhead_median"] < seconds["evaluate_median"] + 1.0

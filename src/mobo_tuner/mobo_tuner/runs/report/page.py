@@ -190,12 +190,12 @@ def _progress(run: RecordedRun) -> Iterator[str]:
         return
     n, last = len(volumes), int(gains[-1])
     tail = max(n // 10, 1)
-    if n > 2:
-        before = volumes[-tail - 1]
-        yield (
-            f"The hypervolume last grew at evaluation {last}; the last {_count(tail, 'evaluation')} "
-            f"added {number(100.0 * (1.0 - before / volumes[-1]), 2)} % of it."
-        )
+    before = volumes[-tail - 1] if n > tail else 0.0
+    text = f"The hypervolume last grew at evaluation {last}"
+    if n > 2 and 0.0 <= before <= volumes[-1]:
+        added = number(100.0 * (1.0 - before / volumes[-1]), 2)
+        text += f"; the last {_count(tail, 'evaluation')} added {added} % of it"
+    yield f"{text}."
 
 
 def _uncertainty(run: RecordedRun) -> list[dict[str, float]]:
