@@ -15,7 +15,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from mobo_tuner.runs.journal import FILE_NAME
 from mobo_tuner.runs.recorded_run import RecordedRun
+from mobo_tuner.runs.records import ForgetRecord, to_json
 from mobo_tuner.runs.report.models import model_facts
 from mobo_tuner.runs.report.page import duration, failures, number, render_page
 from robustness.offline_run import OfflineRun, toy, toy_optimizer
@@ -141,6 +143,16 @@ def test_the_summary_in_words(mixed: Path) -> None:
     assert "The run made 8 evaluations in 17 min" in text
     assert "6 evaluations met every constraint, 1 failed, and 1 broke a constraint" in text
     assert "The Pareto front has 3 points" in text
+
+
+def test_a_withdrawn_evaluation_is_neither_failed_nor_on_the_front(mixed: Path) -> None:
+    with (mixed / FILE_NAME).open("a") as journal:
+        record = ForgetRecord(3000.0, 8, 2, withdrawn=True)
+        journal.write(json.dumps(to_json(record)) + "\n")
+    text = read(mixed)
+    assert "5 evaluations met every constraint, 1 failed, and 1 broke a constraint" in text
+    assert "withdrew 1 evaluation" in text
+    assert "The Pareto front has 2 points" in text
 
 
 def test_an_empty_front_is_explained(tmp_path: Path) -> None:

@@ -39,6 +39,7 @@ def columns_of(run: RecordedRun) -> tuple[dict[str, Column], dict[str, str]]:
         "stamp": [r.stamp for r in records],
         "valid": run.valid.tolist(),
         "feasible": run.feasible.tolist(),
+        "withdrawn": run.withdrawn.tolist(),
         "on_front": [r.index in on_front for r in records],
         "hypervolume": [r.hypervolume for r in records],
         "hypervolume_measured": [r.hypervolume_measured for r in records],

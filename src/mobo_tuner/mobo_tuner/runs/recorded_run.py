@@ -145,6 +145,11 @@ class RecordedRun:
         return self.optimizer.dataset.failed
 
     @cached_property
+    def withdrawn(self) -> BoolArray:
+        """Which evaluations an operator withdrew as a whole ``(n,)``."""
+        return self.optimizer.dataset.forgotten
+
+    @cached_property
     def feasible(self) -> BoolArray:
         """Which evaluations are complete and meet every constraint ``(n,)``."""
         return self.optimizer.dataset.feasible

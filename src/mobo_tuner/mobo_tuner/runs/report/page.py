@@ -160,11 +160,15 @@ def _in_words(run: RecordedRun, facts: list[ModelFacts]) -> Iterator[str]:
         yield f"The error was: {run.error_msg}."
     if not n:
         return
-    feasible, failed = np.count_nonzero(run.feasible), np.count_nonzero(run.failed)
-    yield (
-        f"{_count(int(feasible), 'evaluation')} met every constraint, {failed} failed, and "
-        f"{n - feasible - failed} broke a constraint or were incomplete."
+    feasible, failed, withdrawn = (
+        int(np.count_nonzero(rows)) for rows in (run.feasible, run.failed, run.withdrawn)
     )
+    yield (
+        f"{_count(feasible, 'evaluation')} met every constraint, {failed} failed, and "
+        f"{n - feasible - failed - withdrawn} broke a constraint or were incomplete."
+    )
+    if withdrawn:
+        yield f"An operator withdrew {_count(withdrawn, 'evaluation')}; nothing was learned from it."
     if len(run.front):
         yield f"The Pareto front has {_count(len(run.front), 'point')}."
         yield from _progress(run)
