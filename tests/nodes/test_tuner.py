@@ -271,7 +271,7 @@ def test_an_interlocked_machine_ends_the_run_with_its_own_words(
 ) -> None:
     code = EvaluateSetpoint.Result.INTERLOCK
     toy_machine(node, lambda goal: Answer(toy_values(goal), code if goal.index else NONE, "vacuum"))
-    start_tuner()
+    start_tuner("on_interlock:=abort")
     client.send(Tune.Goal(evaluations=50))
     result = client.wait()
     assert result.error_code == Tune.Result.MACHINE_ERROR

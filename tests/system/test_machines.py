@@ -104,7 +104,7 @@ def lab(
         "machine_return_timeout": 1.0,
         "machine_timeout": 2.0,
     }
-    bridge = content.get("machine_bridge", {}).get("ros__parameters")
+    bridge = content.get("/**/machine_bridge", {}).get("ros__parameters")
     if bridge:
         mapping = tmp_path / bridge["mapping"]
         mapping.write_bytes((ROOT / "config" / bridge["mapping"]).read_bytes())
@@ -234,7 +234,7 @@ def test_a_second_ctrl_c_stops_a_machine_that_is_there_already(
     )
     try:
         content = yaml.safe_load(slow_injector.read_text())
-        del content["awa_sim"]
+        del content["/**/awa_sim"]
         config = tmp_path / "external.yaml"
         config.write_text(yaml.safe_dump(content))
         run = start(config=str(config))
