@@ -80,7 +80,9 @@ def test_the_examples_of_the_manual_work_as_an_installed_package(tmp_path: Path)
     assert [name for name, _ in blocks] == ["kernel", "acquisition", "maximizer"]
     groups = re.findall(r'entry-points\."([\w.]+)"\]\n *(\w+) = "([\w.:]+)"', MANUAL)
     assert len(groups) == 3
-    (section,) = re.findall(r"^```yaml\n(tuner:.*?)^```", MANUAL, flags=re.MULTILINE | re.DOTALL)
+    (section,) = re.findall(
+        r"^```yaml\n(/\*\*/tuner:.*?)^```", MANUAL, flags=re.MULTILINE | re.DOTALL
+    )
     environment = installed(
         tmp_path,
         "\n\n".join(code for _, code in blocks),
