@@ -49,6 +49,8 @@ Source = Literal["initial", "model"]
 STATE_VERSION = 2
 # A failed set-point is not proposed again within 1 % of every variable's range.
 FAILED_TOLERANCE = 0.02
+# A suspected reading that is better than believed is confirmed 1 % of every variable's range beside it.
+CONFIRMING_STEP = 0.02
 # A set-point within 0.05 % of every variable's range of a measured one must promise something new.
 _NEAR = 1e-3
 _ALIKE = 0.05  # range of a constraint's readings, as a share of what they lack
@@ -592,6 +594,9 @@ class Optimizer:
         inputs, failed = self.dataset.inputs, self.dataset.failed
         if not self._models.ready:
             return explore(inputs, taken(self.dataset), rng)
+        unconfirmed = self._unconfirmed()
+        if unconfirmed is not None:
+            return unconfirmed
         acquisition = self._acquisition_function(tails=False)
         if acquisition is None:
             return self._explored(rng)
@@ -616,6 +621,26 @@ class Optimizer:
         if other is not None and self._pays(other, used):
             return other
         return self._explored(rng)
+
+    def _unconfirmed(self) -> Array | None:
+        """Return a point beside a suspected reading that is better than believed, shape ``(d,)``.
+
+        What is worse than believed shows by itself if it is right: the search comes there again. None
+        if there is no such reading, or if each was looked at already.
+        """
+        if not self._models.has_suspects:
+            return None
+        data, inputs, belief = self.dataset, self.dataset.inputs, self._believed()
+        better = (data.objectives < belief.objectives).any(axis=1)
+        better |= data.feasible & ~belief.feasible
+        for index in sorted({index for index, _ in self.suspected}):
+            if not better[index]:
+                continue
+            distances = np.abs(inputs[index + 1 :] - inputs[index]).max(axis=1)
+            if (distances[data.valid[index + 1 :]] > 2.0 * CONFIRMING_STEP).all():
+                inward = np.where(inputs[index] > 0.0, -1.0, 1.0)
+                return np.asarray(inputs[index] + CONFIRMING_STEP * inward)
+        return None
 
     @property
     def _seconds_left(self) -> float | None:

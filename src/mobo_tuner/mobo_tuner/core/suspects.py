@@ -44,10 +44,6 @@ def find_suspects(
         rng: Random number generator of the trainings.
     """
     suspects: dict[int, float] = {}
-    for i in former:
-        deviation = _deviation(model, x[i], float(y[i]), float(stddev[i]))
-        if deviation is not None:
-            suspects[int(i)] = deviation
     kept = np.delete(np.arange(len(y)), former)
     if len(kept) == 0 or np.unique(y[kept], return_counts=True)[1].max() > _PLATEAU * len(kept):
         return np.empty(0, dtype=np.intp)
@@ -65,6 +61,10 @@ def find_suspects(
         if deviation is None:
             break
         suspects[i] = deviation
+    for i in former:
+        deviation = _deviation(model, x[i], float(y[i]), float(stddev[i]))
+        if deviation is not None:
+            suspects[int(i)] = deviation
     found = sorted(i for i in suspects if not _is_confirmed(i, suspects, x))
     few = len(found) <= max(1, int(_MOST_SHARE * len(y)))
     return np.array(found if few else [], dtype=np.intp)
