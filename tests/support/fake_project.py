@@ -30,6 +30,9 @@ def note(text):
     with open(os.environ["PLAY_EVENTS"], "a") as file:
         file.write(f"{name} {text}\\n")
 
+def ready_file(node):  # of this run: another run's nodes may have been ready before
+    return os.path.join(os.environ["ROS_LOG_DIR"], f"{node}.ready")
+
 def events():
     with open(os.environ["PLAY_EVENTS"]) as file:
         return file.read()
@@ -95,7 +98,7 @@ if name == "console":
         file.write("{}\\n")
     print("tuning")
     for _ in range(600):
-        if all(f"{node} ready" in events() for node in ("tuner", "recorder")):
+        if all(os.path.exists(ready_file(node)) for node in ("tuner", "recorder")):
             break
         time.sleep(0.05)
     note("ready")
@@ -106,6 +109,8 @@ if name == "console":
     if behaviour not in ("wait", "stubborn", "goes back"):
         sys.exit(0)
 note("ready")
+if "ROS_LOG_DIR" in os.environ:
+    open(ready_file(name), "w").close()
 for _ in range(600):
     time.sleep(0.1)
 """

@@ -15,6 +15,7 @@ from mobo_tuner.client import ErrorCode, Front, Movement, Status, TunerClient, T
 from mobo_tuner.displays.console_view import make_view
 
 POLL_PERIOD = 0.1  # [s]
+CANCEL_TIMEOUT = 900.0  # [s] for the machine to be back where `on_abort` sends it
 EXIT_ERROR = 1
 EXIT_INTERRUPTED = 130
 REFUSALS = (ErrorCode.REFUSED, ErrorCode.INVALID_GOAL, ErrorCode.INVALID_VALUE)
@@ -53,9 +54,15 @@ def cancel(client: TunerClient, _: argparse.Namespace) -> str:
     """Cancel the active run or move."""
     if not client.cancel_any():
         raise TunerError(ErrorCode.REFUSED, "no run or move is active")
-    while client.status().state != "idle":
+    deadline = time.monotonic() + CANCEL_TIMEOUT
+    while (now := client.status()).state != "idle":
+        if time.monotonic() > deadline:
+            raise TunerError(
+                ErrorCode.NO_ANSWER,
+                f"the tuner is still {now.state} {CANCEL_TIMEOUT:g} s after the cancel",
+            )
         time.sleep(POLL_PERIOD)
-    return client.status().message or "canceled"
+    return now.message or "canceled"
 
 
 def pause(client: TunerClient, _: argparse.Namespace) -> str:
