@@ -69,7 +69,8 @@ def main(arguments: list[str]) -> int:
     except BrokenPipeError:  # the reader of the output has closed it
         return 1
     except OSError as error:
-        return complain(error, 1)
+        where = f"'{error.filename}': " if error.filename else ""
+        return complain(f"{where}{error.strerror or error}", 1)
     except KeyboardInterrupt:
         return complain("stopped by SIGINT", 128 + signal.SIGINT)
     return 0

@@ -8,6 +8,7 @@ import json
 import os
 import shlex
 import shutil
+import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from launcher.environment import clean_environment
-from launcher.errors import LauncherError, UsageError
+from launcher.errors import LauncherError, RunFolderError, UsageError
 from launcher.machine import MACHINE_NODES, Machine, shared_domain
 from launcher.processes import Interrupted
 from launcher.programs import CONSOLE, RECORDER, THREADS, TUNER, Project, open_project
@@ -295,10 +296,20 @@ def _carry_out(
         conclusion = interrupted(interruption)
     finally:
         facts |= {"state": conclusion.state, "reason": conclusion.reason, "ended": now()}
-        folder.record(facts)
+        _record_end(folder, facts)
+        if conclusion.state == "finished" and conclusion.reason:
+            print(f"mobo.py: {conclusion.reason}", file=sys.stderr)
         print(folder.path, flush=True)
     if conclusion.exit_status:
         raise UnsuccessfulRunError(conclusion)
+
+
+def _record_end(folder: RunFolder, facts: Mapping[str, Any]) -> None:
+    """Record how a run ended; if that cannot be written, say so and keep the run's own reason."""
+    try:
+        folder.record(facts)
+    except RunFolderError as error:
+        print(f"mobo.py: the end of the run is not recorded: {error}", file=sys.stderr)
 
 
 def _tune(
@@ -344,16 +355,16 @@ def _tune(
         if failure and conclusion.state == "finished":
             return Conclusion("failed", failure, 1)
     if conclusion.state == "finished":
-        return _judge(folder)
+        return _judge(folder, conclusion)
     return conclusion
 
 
-def _judge(folder: RunFolder) -> Conclusion:
+def _judge(folder: RunFolder, conclusion: Conclusion) -> Conclusion:
     """Return the conclusion of a completed run, which failed if no evaluation is valid."""
     summary = folder.summary()
     failed = summary.get("failed")
     if not failed or failed != summary.get("evaluations"):
-        return Conclusion("finished")
+        return conclusion
     reason = f"the run failed: all of its {failed} evaluations failed"
     last = folder.last_error()
     return Conclusion("failed", f"{reason}, the last one because {last}" if last else reason, 1)

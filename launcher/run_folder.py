@@ -23,6 +23,7 @@ RUN_FILE = "run.json"
 CONFIG_FILE = "config.yaml"
 SUMMARY_FILE = "summary.json"
 JOURNAL_FILE = "journal.jsonl"
+RUN_FILE_ROOM = 4000  # characters of a run.json at least
 BAG_FILE = "metadata.yaml"
 BAG_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
@@ -144,14 +145,26 @@ class RunFolder:
         return ""
 
     def record(self, facts: Mapping[str, Any]) -> None:
-        """Write `run.json` atomically.
+        """Write `run.json` atomically; in place on a full disk or in a read-only folder.
 
         Raises:
-            OSError: If it cannot be written.
+            RunFolderError: If it cannot be written.
         """
-        draft = self.path / f".{RUN_FILE}.draft"
-        draft.write_text(json.dumps(facts, indent=2, ensure_ascii=False) + "\n")
-        draft.replace(self.path / RUN_FILE)
+        path, draft = self.path / RUN_FILE, self.path / f".{RUN_FILE}.draft"
+        # The blanks keep room on the disk for what is recorded at the end.
+        text = (json.dumps(facts, indent=2, ensure_ascii=False) + "\n").ljust(RUN_FILE_ROOM)
+        try:
+            draft.write_text(text)
+            draft.replace(path)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                draft.unlink()
+            try:
+                with path.open("r+") as file:
+                    file.write(text)
+                    file.truncate()
+            except OSError:
+                raise RunFolderError(f"'{path}' cannot be written: {error.strerror}") from None
 
     def facts(self) -> dict[str, Any]:
         """Return the content of `run.json` with the current state; empty if there is none.

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from launcher.processes import Interrupted, Processes, describe_status
+from launcher.run_folder import JOURNAL_FILE
 
 EXIT_LIMIT = 5.0  # [s] from a signal to the end of everything
 _FAREWELL = 5.0  # [s] for the others to end after a node has died
@@ -30,7 +31,7 @@ class Conclusion:
 
     Attributes:
         state: State of the run in `run.json`: 'finished', 'failed', 'canceled' or 'interrupted'.
-        reason: Reason in one sentence; empty if the run finished.
+        reason: Reason in one sentence; what went wrong on the way if the run finished, else empty.
         exit_status: Exit status of the entry script.
         details: Lines that help to find the cause.
     """
@@ -69,6 +70,11 @@ class Launch:
     folder: Path
     goes_back: bool = False
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether the run has begun: it has a journal."""
+        return (self.folder / JOURNAL_FILE).is_file()
+
     def log(self, name: str) -> Path:
         """Return the file that gets what a program prints."""
         return self.folder / "log" / f"{name}.log"
@@ -82,6 +88,7 @@ class Supervisor:
         self._launch = launch
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         self._deadline = float("inf")  # for the end of all programs after a signal
+        self._loss = ""  # how the recorder was lost during the run
 
     def run(self) -> Conclusion:
         """Carry out the run; every program has ended when this returns.
@@ -102,7 +109,10 @@ class Supervisor:
             except Interrupted as interruption:  # raised once, so the second try is not interrupted
                 conclusion = self._hurry(interruption)
                 self._stop(names)
-        return self._judge() if conclusion.state == "finished" else conclusion
+        if conclusion.state != "finished":
+            return conclusion
+        conclusion = self._judge()
+        return conclusion if conclusion.reason else Conclusion("finished", self._loss)
 
     def report(self, command: Sequence[str]) -> str:
         """Run the program that creates the report.
@@ -116,7 +126,11 @@ class Supervisor:
         timeout = min(_REPORT_TIMEOUT, self._deadline - time.monotonic() - _RESERVE)
         if timeout <= 0.0:
             return "there was no time left for the report"
-        with self._launch.log("report").open("wb") as log:
+        try:
+            log = self._launch.log("report").open("wb")
+        except OSError as error:
+            return f"the report cannot be written: {error.strerror}"
+        with log:
             process = self._processes.start(
                 command,
                 environment=self._launch.environment,
@@ -142,7 +156,10 @@ class Supervisor:
                 )
 
     def _watch(self) -> Conclusion:
-        """Wait until the foreground ends, or a node dies and the foreground has had time to end."""
+        """Wait until the foreground ends, or a node dies and the foreground has had time to end.
+
+        The run continues without the recorder: it has its journal, and the tuner tells of the loss.
+        """
         foreground = self._running[self._launch.foreground]
         self._processes.wait_until(
             lambda: foreground.poll() is not None or self._dead_node() is not None, float("inf")
@@ -188,7 +205,8 @@ class Supervisor:
         """Return the conclusion of a successful run, unless a node failed at its end."""
         for name, process in self._running.items():
             unhandled = name != self._launch.last and process.returncode in _UNHANDLED_SIGINT
-            if process.returncode != 0 and not unhandled:
+            lost = name == self._launch.last and self._loss
+            if process.returncode != 0 and not unhandled and not lost:
                 how = describe_status(process.returncode)
                 return self._failure(f"the {name} node {how} when the run was over", name)
         return Conclusion("finished")
@@ -200,10 +218,15 @@ class Supervisor:
         return Conclusion("failed", f"the run failed: {what}", 1, details)
 
     def _dead_node(self) -> str | None:
-        """Return the first dead node, if there is one."""
+        """Return the first dead node without which the run cannot continue, if there is one."""
         for name, process in self._running.items():
-            if name != self._launch.foreground and process.poll() is not None:
+            if name == self._launch.foreground or process.poll() is None:
+                continue
+            if name != self._launch.last or not self._launch.has_begun:
                 return name
+            if not self._loss:
+                how = describe_status(process.returncode)
+                self._loss = f"the {name} node {how} during the run: its bag ends there"
         return None
 
     def _last_words(self, name: str, status: int) -> str:

@@ -91,3 +91,14 @@ def test_the_machine_of_a_run_is_shown(
     folder.record({"domain_id": 42, "machine": machine})
     [line] = [line for line in folder.description().splitlines() if line.startswith("  machine")]
     assert shown in line
+
+
+def test_the_end_of_a_run_is_recorded_where_no_file_can_be_made(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path)
+    folder.record({"state": "running", "reason": "x" * 5000})
+    (tmp_path / ".run.json.draft").mkdir()  # as on a full disk, or in a read-only folder
+    folder.record({"state": "failed", "reason": "the disk is full"})
+    assert folder.facts() == {"state": "failed", "reason": "the disk is full"}
+    (tmp_path / "run.json").unlink()
+    with pytest.raises(RunFolderError, match=r"run\.json"):
+        folder.record({"state": "failed"})

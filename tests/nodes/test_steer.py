@@ -127,7 +127,14 @@ def test_working_points_are_listed_and_gone_to(shell: Shell) -> None:
     index = measured[0][0]
     at = shell("go", index, "--hold", "2")
     assert at.startswith(f"at point {index} of run {run_id[1]}, held with 2 evaluations: x1 = ")
-    assert shell("go", "--weights", "f2=2").startswith("at point ")
+    promised = [line.split() for line in at.splitlines()[1:]]
+    assert promised[0] == ["promised", "measured", "now", "difference"]
+    assert [row[0] for row in promised[1:]] == ["f1", "f2"]
+    for row in promised[1:]:
+        assert float(row[3]) == pytest.approx(float(row[2]) - float(row[1]), abs=2e-3)
+    unmeasured = shell("go", "--weights", "f2=2", "--no-measurement")
+    assert unmeasured.startswith("at point ")
+    assert len(unmeasured.splitlines()) == 1
     assert "4000" in shell.refused("go", "4000", "--run", run_id[1])
     assert "index" in shell.refused("go")
 

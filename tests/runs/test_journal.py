@@ -191,7 +191,7 @@ journal.append({"type": "end"})
         timeout=30,
         check=True,
     )
-    assert done.stdout.strip() == "OSError"
+    assert done.stdout.strip() == "JournalWriteError"
     assert [r["type"] for r in read_journal(tmp_path)] == ["start", "end"]
 
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import resource
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.runs.journal import FILE_NAME, read_journal
-from mobo_tuner.runs.records import ChangeRecord, QueuedRecord, StartRecord
+from mobo_tuner.runs.journal import FILE_NAME, JournalWriteError, read_journal
+from mobo_tuner.runs.records import ChangeRecord, EndRecord, QueuedRecord, StartRecord
 from mobo_tuner.runs.run_log import RunLog
 from mobo_tuner.runs.saved_state import SavedState
 
@@ -69,3 +71,36 @@ def test_a_run_is_never_overwritten(tmp_path: Path) -> None:
     with pytest.raises(FileExistsError):
         RunLog(tmp_path / "run", START)
     assert (tmp_path / "run" / FILE_NAME).read_bytes() == kept
+
+
+@pytest.fixture
+def limited() -> Iterator[Callable[[int], None]]:
+    """Limit the size of this process's files, as a full disk does."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_what_a_full_disk_does_not_take_waits_in_its_order(
+    tmp_path: Path, limited: Callable[[int], None]
+) -> None:
+    log = RunLog(tmp_path / "run", START)
+    limited((tmp_path / "run" / FILE_NAME).stat().st_size)
+    log.keep(CHANGE)
+    log.keep(EndRecord(2.0, "budget"))
+    assert log.waiting == (CHANGE, EndRecord(2.0, "budget"))
+    assert "cannot be written: File too large" in log.trouble
+    assert not log.retry()
+    with pytest.raises(JournalWriteError, match="File too large"):
+        log.append(QueuedRecord(1.0, {"x": 0.5}))
+    optimizer = Optimizer(PROBLEM, seed=0)
+    log.save(optimizer)  # it would be ahead of the journal
+    assert SavedState.read(tmp_path / "run") is None
+    limited(resource.RLIM_INFINITY)
+    log.append(QueuedRecord(1.0, {"x": 0.5}))
+    assert not log.waiting
+    assert log.retry()
+    assert not log.trouble
+    log.close()
+    kinds = [r["type"] for r in read_journal(tmp_path / "run")]
+    assert kinds == ["start", "change", "end", "queued"]

@@ -106,11 +106,19 @@ if name == "console":
         sys.exit("[INFO] something\\nthe machine refused evaluation 3")
     if behaviour == "canceled":
         sys.exit(130)
+    while behaviour == "outlives" and "recorder dies" not in events():
+        time.sleep(0.05)
     if behaviour not in ("wait", "stubborn", "goes back"):
+        time.sleep(0.3 if behaviour == "outlives" else 0.0)
         sys.exit(0)
 note("ready")
 if "ROS_LOG_DIR" in os.environ:
     open(ready_file(name), "w").close()
+if behaviour == "dies":
+    while "console ready" not in events():
+        time.sleep(0.05)
+    note("dies")
+    os.kill(os.getpid(), signal.SIGKILL)
 for _ in range(600):
     time.sleep(0.1)
 """

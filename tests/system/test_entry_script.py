@@ -330,6 +330,15 @@ def test_the_consoles_last_words_are_the_reason(project: FakeProject) -> None:
     assert failure(project, output)["state"] == "failed"
 
 
+def test_a_run_goes_on_without_its_recorder_and_says_so(project: FakeProject) -> None:
+    status, output, errors = project.run("run", console="outlives", recorder="dies")
+    assert status == 0
+    facts = json.loads((Path(output.splitlines()[-1]) / "run.json").read_text())
+    assert facts["state"] == "finished"
+    assert "the recorder node was killed" in facts["reason"]
+    assert errors == f"mobo.py: {facts['reason']}\n"
+
+
 @pytest.mark.parametrize("behaviour", ["ends badly", "stubborn"])
 def test_a_recorder_that_does_not_end_well_fails_the_run(
     project: FakeProject, behaviour: str

@@ -386,6 +386,7 @@ class TunerClient:
         hold: int = 0,
         radius: float = 0.0,
         anyway: bool = False,
+        measure: bool = False,
         on_feedback: OnMovement | None = None,
     ) -> Arrival:
         """Go to a point of a Pareto front, and wait until the machine has arrived.
@@ -399,6 +400,7 @@ class TunerClient:
             hold: Number of evaluations to spend on holding the point against drift.
             radius: Radius of that search as a fraction of each variable's range [1]; 0 = the default.
             anyway: Whether the point may be outside the bounds of now.
+            measure: Whether to measure once there, to compare with what the point promises.
             on_feedback: Function that receives the progress.
 
         Raises:
@@ -412,6 +414,7 @@ class TunerClient:
             hold_evaluations=count(hold, "hold"),
             radius=number(radius, "radius"),
             anyway=anyway,
+            measure=measure,
         )
         if weights is None:
             goal.choice, goal.index = GoToWorkingPoint.Goal.BY_INDEX, count(index, "index")
@@ -434,8 +437,9 @@ class TunerClient:
             run_id=result.run_id,
             point=point_of(result.point),
             readbacks=values_of(result.readbacks),
-            units=units_of(result.readbacks),
+            units=units_of((*result.readbacks, *result.measured, *result.point.objectives)),
             evaluations=result.evaluations,
+            measured=values_of(result.measured),
         )
 
     def hold(

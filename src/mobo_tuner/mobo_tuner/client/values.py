@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
@@ -62,6 +62,9 @@ class Status:
         message: Message for people, such as the reason of a pause or wait until it ends; empty = none.
         last_failure: Last failure of the run, in one sentence; empty = none.
         hints: What keeps the run from progress, one sentence each with what to do.
+        front_size: Number of points on the Pareto front.
+        recorder: What the recorder does, in one sentence; empty = none was found.
+        free_space: Space left on the disk that keeps the runs [byte]; NaN = unknown.
     """
 
     state: str
@@ -78,6 +81,9 @@ class Status:
     message: str = ""
     last_failure: str = ""
     hints: tuple[str, ...] = ()
+    front_size: int = 0
+    recorder: str = ""
+    free_space: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -189,8 +195,9 @@ class Arrival:
         run_id: Id of the run whose front the point is on.
         point: Chosen point.
         readbacks: Readbacks of the variables.
-        units: Units of the variables.
+        units: Units of variables and diagnostics.
         evaluations: Number of evaluations spent on holding the point.
+        measured: Means of what was measured at the point, by name; empty if nothing was.
     """
 
     run_id: str
@@ -198,6 +205,7 @@ class Arrival:
     readbacks: Mapping[str, float]
     units: Mapping[str, str]
     evaluations: int
+    measured: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -245,6 +253,9 @@ def status_of(message: msg.TunerStatus) -> Status:
         message=message.message,
         last_failure=message.last_failure,
         hints=tuple(message.hints),
+        front_size=message.front_size,
+        recorder=message.recorder,
+        free_space=message.free_space,
     )
 
 

@@ -11,7 +11,15 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from mobo_tuner.client import ErrorCode, Front, Movement, Status, TunerClient, TunerError
+from mobo_tuner.client import (
+    Arrival,
+    ErrorCode,
+    Front,
+    Movement,
+    Status,
+    TunerClient,
+    TunerError,
+)
 from mobo_tuner.displays.console_view import make_view
 
 POLL_PERIOD = 0.1  # [s]
@@ -33,6 +41,10 @@ def status(client: TunerClient, _: argparse.Namespace) -> str:
         text += f"; {now.message}"
     if now.last_failure:
         text += f"\nlast failure: {now.last_failure}"
+    if now.recorder:
+        text += f"\n{now.recorder}"
+    if math.isfinite(now.free_space):
+        text += f"\ndisk of the runs: {now.free_space / 1e9:.1f} GB are left"
     return text + "".join(f"\nhint: {hint}" for hint in now.hints)
 
 
@@ -138,6 +150,7 @@ def go(client: TunerClient, options: argparse.Namespace) -> str:
         hold=options.hold,
         radius=options.radius,
         anyway=options.anyway,
+        measure=not options.no_measurement,
         on_feedback=show,
     )
     where = ", ".join(
@@ -145,7 +158,8 @@ def go(client: TunerClient, options: argparse.Namespace) -> str:
         for name, value in arrival.readbacks.items()
     )
     held = f", held with {arrival.evaluations} evaluations" if options.hold else ""
-    return f"at point {arrival.point.index} of run {arrival.run_id}{held}: {where}"
+    text = f"at point {arrival.point.index} of run {arrival.run_id}{held}: {where}"
+    return text if options.no_measurement else f"{text}\n{_comparison(arrival)}"
 
 
 VERBS: dict[str, Act] = {
@@ -230,6 +244,11 @@ def make_parser() -> argparse.ArgumentParser:
         help="radius of the search around it as a fraction of each range (default: 0.1)",
     )
     parsers["go"].add_argument(
+        "--no-measurement",
+        action="store_true",
+        help="do not measure there (default: measure once, and compare with what was promised)",
+    )
+    parsers["go"].add_argument(
         "--anyway",
         action="store_true",
         help="go there even if the point is outside the bounds as they are now",
@@ -258,6 +277,25 @@ def main() -> None:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler)
     sys.exit(run(sys.argv[1:]))
+
+
+def _comparison(arrival: Arrival) -> str:
+    """Return what a point promises beside what was measured there, one objective per line."""
+    if not arrival.measured:
+        return "nothing could be measured there: see the log of the tuner"
+    rows = [["", "promised", "measured now", "difference"]]
+    for name, promised in arrival.point.objectives.items():
+        measured = arrival.measured.get(name, math.nan)
+        label = f"{name} {arrival.units.get(name, '')}".strip()
+        numbers = (promised, measured, measured - promised)
+        rows.append([label, *(f"{number:.4g}" for number in numbers)])
+    return _aligned(rows)
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows as a table whose columns are aligned on the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join("  ".join(map(str.rjust, row, widths)) for row in rows)
 
 
 def _counts(now: Status) -> str:
@@ -300,9 +338,7 @@ def _table(front: Front, title: str, sort: str, descending: bool, top: int | Non
         values = {**point.setpoint, **point.objectives}
         index = "-" if point.index is None else str(point.index)
         rows.append([index, *(f"{values[name]:.4g}" for name in names)])
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines += ["  ".join(map(str.rjust, row, widths)) for row in rows]
-    return "\n".join(lines)
+    return "\n".join([*lines, _aligned(rows)])
 
 
 def _named_value(text: str) -> tuple[str, Any]:

@@ -23,6 +23,7 @@ from mobo_tuner.tuner.health import TunerHealth
 from mobo_tuner.tuner.machine_client import MachineClient
 from mobo_tuner.tuner.parameters import TunerParameters, tuner_specs, with_method
 from mobo_tuner.tuner.problem_parameters import ProblemParameters
+from mobo_tuner.tuner.recording import Recording
 from mobo_tuner.tuner.run.loop import RunLoop
 from mobo_tuner.tuner.services.ask_tell import AskTell
 from mobo_tuner.tuner.services.parameter_changes import ParameterChanges
@@ -73,13 +74,14 @@ class Tuner:
             stopping=Future(executor=executor),
         )
         self._session = session = Session()
-        loop = RunLoop(context, session)
+        recording = Recording(context, session)
+        loop = RunLoop(context, session, recording)
         self._changes = ParameterChanges(context, problem, session)
         self._steering = SteeringServices(context, session)
         self._working_points = WorkingPoints(context, session, loop)
         self._ask_tell = AskTell(context, session, problem)
         self._tune = TuneServer(context, session, loop, problem)
-        self._health = TunerHealth(context, session)
+        self._health = TunerHealth(context, session, recording)
         self.node.get_logger().info(f"ready: {self._offer(problem.problem, parameters)}")
 
     def _offer(self, problem: Problem, parameters: TunerParameters) -> str:

@@ -29,6 +29,13 @@ class JournalError(UserError):
     """A journal that cannot be read."""
 
 
+class JournalWriteError(JournalError, OSError):
+    """A journal that cannot be written."""
+
+    def __init__(self, path: Path, error: OSError) -> None:
+        super().__init__(f"the journal '{path}' cannot be written: {error.strerror or error}")
+
+
 class Journal:
     """An append-only journal, open for writing; `create` returns one.
 
@@ -52,13 +59,22 @@ class Journal:
 
         Raises:
             FileExistsError: If the folder already contains a journal.
-            OSError: If the folder or the file cannot be written.
+            JournalWriteError: If the folder or the file cannot be written.
             ValueError: If a record cannot be written as JSON.
         """
         lines = b"".join(map(journal_line, records))
         folder = Path(run_dir)
-        folder.mkdir(parents=True, exist_ok=True)
         path = folder / FILE_NAME
+        try:
+            return cls._create(folder, path, lines)
+        except (FileExistsError, JournalWriteError):
+            raise
+        except OSError as error:
+            raise JournalWriteError(path, error) from None
+
+    @classmethod
+    def _create(cls, folder: Path, path: Path, lines: bytes) -> Journal:
+        folder.mkdir(parents=True, exist_ok=True)
         # A journal always contains its start, whenever its writer is killed.
         draft = folder / f".{FILE_NAME}.{os.getpid()}"
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_CLOEXEC
@@ -78,7 +94,7 @@ class Journal:
         """Write one record; it is on disk when this returns.
 
         Raises:
-            OSError: If it could not be written; the journal then contains no part of it.
+            JournalWriteError: If it could not be written; the journal then contains no part of it.
             ValueError: If the record has no type, cannot be written as JSON, or the journal is closed.
         """
         if not isinstance(record.get("type"), str):
@@ -106,11 +122,11 @@ class Journal:
                 while rest:
                     rest = rest[os.write(self._descriptor, rest) :]
                 os.fsync(self._descriptor)
-            except OSError:
+            except OSError as error:
                 # An incomplete line would corrupt the next one.
                 with contextlib.suppress(OSError):
                     os.ftruncate(self._descriptor, self._size)
-                raise
+                raise JournalWriteError(self.path, error) from None
             self._size += len(lines)
 
 
@@ -120,19 +136,23 @@ def append_record(run_dir: str | Path, record: Mapping[str, Any]) -> None:
     What a killed process left of a last line is cut off, as every reader leaves it out.
 
     Raises:
-        OSError: If it could not be written.
+        JournalWriteError: If it could not be written.
         ValueError: If the record cannot be written as JSON.
     """
     line = journal_line(record)
-    with (Path(run_dir) / FILE_NAME).open("r+b") as file:
-        end = file.seek(0, os.SEEK_END)
-        while end and not _ends_line(file, end):
-            end -= 1
-        file.truncate(end)
-        file.seek(end)
-        file.write(line)
-        file.flush()
-        os.fsync(file.fileno())
+    path = Path(run_dir) / FILE_NAME
+    try:
+        with path.open("r+b") as file:
+            end = file.seek(0, os.SEEK_END)
+            while end and not _ends_line(file, end):
+                end -= 1
+            file.truncate(end)
+            file.seek(end)
+            file.write(line)
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise JournalWriteError(path, error) from None
 
 
 def _ends_line(file: BinaryIO, end: int) -> bool:

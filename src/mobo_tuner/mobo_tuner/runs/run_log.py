@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import threading
+from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
 
 from mobo_tuner.core import Optimizer
-from mobo_tuner.runs.journal import Journal, journal_line
+from mobo_tuner.runs.journal import Journal, JournalWriteError, journal_line
 from mobo_tuner.runs.records import ChangeRecord, ForgetRecord, Record, StartRecord, to_json
 from mobo_tuner.runs.saved_state import SavedState
 
@@ -20,9 +22,12 @@ class RunLog:
         start: First record.
         earlier: Records taken over from the run that this one resumes.
 
+    Attributes:
+        trouble: Reason why records are not in the journal yet, in one sentence; empty if all are.
+
     Raises:
         FileExistsError: If the folder already contains a journal.
-        OSError: If the journal cannot be written.
+        JournalWriteError: If the journal cannot be written.
     """
 
     def __init__(
@@ -32,6 +37,9 @@ class RunLog:
         self._run_id = start.run_id
         self._changes = 0
         self._lines: list[str] = []
+        self._waiting: deque[Record] = deque()  # not in the journal yet
+        self._lock = threading.RLock()  # operators' requests and evaluations come from two threads
+        self.trouble = ""
         records = [start, *earlier]
         self._journal = None
         if run_dir is not None:
@@ -51,18 +59,44 @@ class RunLog:
         """Keep one record; it is on disk when this returns.
 
         Raises:
-            OSError: If it could not be written.
+            JournalWriteError: If it, or what waits, cannot be written; it is not kept then.
         """
-        if self._journal is not None:
-            self._journal.append(to_json(record))
-        self._outline(record)
+        with self._lock:
+            self._write_waiting()
+            if self._journal is not None:
+                self._journal.append(to_json(record))
+            self._outline(record)
+
+    def keep(self, record: Record) -> None:
+        """Keep one record; it waits in memory while the journal cannot be written."""
+        with self._lock:
+            self._waiting.append(record)
+            self._outline(record)
+            self.retry()
+
+    def retry(self) -> bool:
+        """Write what waits in memory; return whether all of it is on disk."""
+        with self._lock:
+            try:
+                self._write_waiting()
+            except JournalWriteError as error:
+                self.trouble = str(error)
+            else:
+                self.trouble = ""
+            return not self.trouble
+
+    def _write_waiting(self) -> None:
+        while self._waiting:
+            if self._journal is not None:
+                self._journal.append(to_json(self._waiting[0]))
+            self._waiting.popleft()
 
     def save(self, optimizer: Optimizer) -> None:
         """Keep the optimiser's state, so that a resumed run needs no replay.
 
-        If that fails, as on a full disk, the journal suffices.
+        If that fails, as on a full disk, the journal suffices. The state is never ahead of the journal.
         """
-        if self._run_dir is None:
+        if self._run_dir is None or self._waiting:
             return
         saved = SavedState(
             self._run_id,
@@ -72,6 +106,11 @@ class RunLog:
         )
         with contextlib.suppress(OSError):
             saved.write(self._run_dir)
+
+    @property
+    def waiting(self) -> tuple[Record, ...]:
+        """Records that are not in the journal yet."""
+        return tuple(self._waiting)
 
     def close(self) -> None:
         """Close the journal; repeated calls have no effect."""

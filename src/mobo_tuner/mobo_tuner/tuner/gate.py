@@ -39,7 +39,11 @@ class Target(NamedTuple):
 
 @dataclass(frozen=True)
 class EvaluationRequest:
-    """One attempt at an evaluation; the fields are those of `EvaluateSetpoint.Goal`."""
+    """One attempt at an evaluation; the fields are those of `EvaluateSetpoint.Goal`.
+
+    Attributes:
+        anyway: Whether an operator has said that the set-point may be outside the problem's bounds.
+    """
 
     run_id: str
     index: int
@@ -50,6 +54,7 @@ class EvaluationRequest:
     client_timeout: float = 0.0
     if_client_lost: Target | None = None
     if_violated: Target | None = None
+    anyway: bool = False
 
 
 class Machine(Protocol):
@@ -166,7 +171,11 @@ class Gate:
             BoundsError: If the set-point or one of the fallbacks is not allowed; nothing was sent.
             MachineLostError: If the machine refused the goal, fell silent or took too long.
         """
-        targets = [Target(request.setpoint), request.if_client_lost, request.if_violated]
+        targets = [
+            Target(request.setpoint, request.anyway),
+            request.if_client_lost,
+            request.if_violated,
+        ]
         for target in targets:
             if target is not None:
                 self.check(target)

@@ -15,6 +15,7 @@ from mobo_tuner.ros.diagnostics import (
 )
 from mobo_tuner.ros.waiting import STEADY_CLOCK
 from mobo_tuner.tuner.context import TunerContext
+from mobo_tuner.tuner.recording import Recording
 from mobo_tuner.tuner.session import Session
 
 _STATES = {
@@ -32,11 +33,13 @@ class TunerHealth:
     Args:
         context: The tuner's node and what works in it.
         session: Session that knows the active run.
+        recording: Whether runs are recorded.
     """
 
-    def __init__(self, context: TunerContext, session: Session) -> None:
+    def __init__(self, context: TunerContext, session: Session, recording: Recording) -> None:
         self._context = context
         self._session = session
+        self._recording = recording
         self._rival = ""  # sentence about other tuners; empty if there is none
         parts = {"run": self._run, "machine": self._machine}
         self._diagnostics = Diagnostics(context.node, "", parts)
@@ -70,11 +73,15 @@ class TunerHealth:
             "failed": status.failed,
             "hypervolume": f"{status.hypervolume:.6g}",
             "runs are kept in": folder.absolute() if folder else "nothing",
+            "recorder": status.recorder or "none",
+            "free disk space [GB]": f"{status.free_space / 1e9:.1f}",
         }
         if run is None and status.stop_reason == "error":
             return Health(ERROR, f"the last run ended with an error: {status.message}", values)
         if self._rival:
             return Health(WARN, self._rival, values)
+        if run is not None and (trouble := run.log.trouble or self._recording.trouble):
+            return Health(WARN, trouble, values)
         if status.state == TunerStatus.WAITING and status.message:
             return Health(WARN, status.message, values)
         if run is not None and run.consecutive_failures:

@@ -139,6 +139,12 @@ TUNER = (
         maximum=604_800.0,
     ),
     ParameterSpec(
+        "on_recorder_lost",
+        "continue",
+        "When the recorder or the journal fails: continue (waiting for the journal), or pause.",
+        choices=("continue", "pause"),
+    ),
+    ParameterSpec(
         "on_abort",
         "hold",
         "Where the tuner sends the machine after a cancel, a stop or an error.",
@@ -244,6 +250,7 @@ class TunerParameters:
     interlock_timeout: float
     on_fault: str
     machine_return_timeout: float
+    on_recorder_lost: str
     on_abort: str
     on_violation: str
     on_client_lost: str

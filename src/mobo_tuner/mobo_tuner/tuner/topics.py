@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 from rclpy.duration import Duration
@@ -95,7 +96,8 @@ class Status:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._publisher = interfaces.STATUS.publisher(node)
-        self.message = msg.TunerStatus()
+        self.message = msg.TunerStatus(free_space=math.nan)
+        self._hints: dict[str, list[str]] = {}
         # On a steady clock: who watches the tuner must not be misled by simulated time that stands.
         self._timer = node.create_timer(STATUS_PERIOD, self._publish, clock=STEADY_CLOCK)
         self._publish()
@@ -120,6 +122,18 @@ class Status:
     def fail(self, text: str) -> None:
         """Publish the last failure of a run; it stays until the next one or another run."""
         self.set(last_failure=text)
+
+    def hint(self, source: str, texts: Iterable[str]) -> None:
+        """Publish the hints of one part of the tuner in place of its earlier ones, if they changed.
+
+        Args:
+            source: Name of the part.
+            texts: One sentence each; may be empty.
+        """
+        new = list(texts)
+        if new != self._hints.get(source, []):
+            self._hints[source] = new
+            self.set(hints=[text for hints in self._hints.values() for text in hints])
 
     def progress(self, phase: str, fraction: float) -> None:
         """Keep how far the machine is, for the next period."""

@@ -19,6 +19,7 @@ from mobo_tuner.tuner.gate import BoundsError, Gate, Target, check_bounds
 from mobo_tuner.tuner.machine_client import MachineLostError
 from mobo_tuner.tuner.messages import evaluation_message
 from mobo_tuner.tuner.parameters import TunerParameters
+from mobo_tuner.tuner.recording import Recording
 from mobo_tuner.tuner.run.attempts import PAUSE_PERIOD, Attempts
 from mobo_tuner.tuner.run.fallbacks import Fallbacks
 from mobo_tuner.tuner.run.run import Run, RunError, Suggestion
@@ -46,11 +47,13 @@ class RunLoop:
     Args:
         context: The tuner's node and what works in it.
         session: Session that a run occupies until its end.
+        recording: Whether runs are recorded.
     """
 
-    def __init__(self, context: TunerContext, session: Session) -> None:
+    def __init__(self, context: TunerContext, session: Session, recording: Recording) -> None:
         self._context = context
         self._session = session
+        self._recording = recording
         self._fallbacks = Fallbacks(context)
         self._attempts = Attempts(context, self._fallbacks)
         self._hinted: tuple[str, ...] = ()  # what was logged last
@@ -71,7 +74,7 @@ class RunLoop:
                     if done:
                         context.log.info(f"run '{run.run_id}': {done}")
                         ending = ending._replace(error_msg=f"{ending.error_msg}; {done}")
-                end_run(context, run, ending)
+                ending = end_run(context, run, ending)
                 context.status.set(
                     publish=False, message=ending.error_msg, stop_reason=ending.stop_reason
                 )
@@ -114,6 +117,7 @@ class RunLoop:
                 return
             problem = run.problem
             record = await worker.submit(run.learn, suggested, outcome)
+            await self._recording.await_journal(run)
             if run.problem is not problem:  # its reference point was inferred
                 self._publish_all(run)
             run.steering.forget_skip()
@@ -135,6 +139,7 @@ class RunLoop:
         context = self._context
         patience = context.parameters.discovery_timeout
         context.status.set(publish=False, stop_reason="", run_id=run.run_id, last_failure="")
+        self._recording.begin()
         context.status.work(
             msg.TunerStatus.WAITING, f"waiting up to {patience:g} s for a machine to answer"
         )
@@ -174,10 +179,11 @@ class RunLoop:
             evaluations=run.found.evaluations,
             failed=run.found.failed,
             feasible=run.found.feasible,
+            front_size=len(run.found.front),
             hypervolume=run.found.hypervolume,
             hypervolume_measured=run.found.hypervolume_measured,
-            hints=[*self._fallbacks.hints(run), *run.hints],
         )
+        self._context.status.hint("run", [*self._fallbacks.hints(run), *run.hints])
         for hint in run.hints:
             if hint not in self._hinted:
                 self._context.log.warning(f"run '{run.run_id}': {hint}")
@@ -193,6 +199,9 @@ class RunLoop:
         """
         steering = run.steering
         while True:
+            await self._recording.await_journal(run)
+            if run.log.trouble:
+                raise RunError(_CODES.INTERNAL, run.log.trouble)
             if run.interrupted or steering.stopping:
                 return None
             if steering.changes:
@@ -334,10 +343,17 @@ def publish_run(context: TunerContext, run: Run) -> None:
     context.topics.front(run.front_message(now))
 
 
-def end_run(context: TunerContext, run: Run, ending: Ending) -> None:
-    """Write the end of a run into its journal and close it."""
-    try:
-        run.log.append(EndRecord(context.stamp(), *ending))
-    except OSError as error:
-        context.log.error(f"the end of the run is not in its journal: {error}")
+def end_run(context: TunerContext, run: Run, ending: Ending) -> Ending:
+    """Write the end of a run into its journal, close it, and return how the run ended.
+
+    A run with evaluations that its journal lacks ended with an error.
+    """
+    run.log.keep(EndRecord(context.stamp(), *ending))
+    lacking = [r.index for r in run.log.waiting if isinstance(r, EvaluationRecord)]
+    if run.log.trouble:
+        context.log.error(f"the end of run '{run.run_id}' is not kept: {run.log.trouble}")
+    if lacking:
+        text = f"{run.log.trouble}; it lacks evaluation {', '.join(map(str, lacking))}"
+        ending = Ending("error", ending.error_code or _CODES.INTERNAL, text)
     run.log.close()
+    return ending

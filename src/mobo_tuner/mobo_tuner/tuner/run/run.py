@@ -215,8 +215,7 @@ class Run:
     def learn(self, suggestion: Suggestion, outcome: Outcome) -> EvaluationRecord:
         """Tell the optimiser and the journal what a suggestion led to, a failed evaluation too.
 
-        Raises:
-            OSError: If the journal cannot be written.
+        While the journal cannot be written, its record waits in memory; `log.trouble` says so.
         """
         answer = outcome.answer
         evaluation = self.optimizer.tell(
@@ -251,7 +250,7 @@ class Run:
             total_seconds=now - self.step_started,
         )
         self.step_started = now
-        self.log.append(record)
+        self.log.keep(record)
         self.records.append((self.problem, record))
         self._look_for_hints()
         if answer.error_code != EvaluateSetpoint.Result.CANCELED:  # skipping is not a failure
@@ -270,27 +269,25 @@ class Run:
 
         Raises:
             ProblemError: If the optimiser cannot; nothing is changed.
-            OSError: If the journal cannot be written.
         """
         if change.problem != self.found.given_problem:
             self.optimizer = self.optimizer.with_problem(change.problem)
         self.budget = change.budget
         self.found = Findings.of(self.optimizer)
         self._look_for_hints()
-        self.log.append(ChangeRecord(stamp, self.index, change.problem, change.budget))
+        self.log.keep(ChangeRecord(stamp, self.index, change.problem, change.budget))
 
     def withdraw(self, request: ForgetRecord) -> None:
         """Forget an evaluation or a diagnostic of it, or learn it again, which the journal keeps.
 
         Raises:
             ProblemError: If there is no such evaluation, or it has no such diagnostic.
-            OSError: If the journal cannot be written.
         """
         record = replace(request, index=self.index)
         withdraw(self.optimizer, record)
         self.found = Findings.of(self.optimizer)
         self._look_for_hints()
-        self.log.append(record)
+        self.log.keep(record)
 
     def _look_for_hints(self) -> None:
         machine = self.machine.variables if self.machine is not None else ()

@@ -84,6 +84,7 @@ class AskTell:
             return response
         response.evaluation = run.evaluation_message(record)
         response.success = True
+        response.message = run.log.trouble
         self._context.topics.evaluation(response.evaluation)
         self._context.topics.front(run.front_message(self._context.now()))
         return response
@@ -104,8 +105,11 @@ class AskTell:
         """Learn one answer, in the worker thread, so that one of two equal ones is the first.
 
         Raises:
-            ValueError: If it is an answer to an evaluation that is not the next one.
+            ValueError: If it is an answer to an evaluation that is not the next one, or an earlier one is
+                not in the journal yet.
         """
+        if not run.log.retry():
+            raise ValueError(run.log.trouble)
         if request.run_id and request.index != run.index:
             why = "was told already" if request.index < run.index else "was not asked for yet"
             raise ValueError(f"evaluation {request.index} of run '{run.run_id}' {why}")

@@ -20,9 +20,9 @@ from mobo_tuner.ros.conversions import named_values, unique_values
 from mobo_tuner.runs.journal import append_record
 from mobo_tuner.runs.records import MoveRecord, to_json
 from mobo_tuner.tuner.context import TunerContext, describe
-from mobo_tuner.tuner.gate import BoundsError, Target, check_bounds
+from mobo_tuner.tuner.gate import BoundsError, EvaluationRequest, Target, check_bounds
 from mobo_tuner.tuner.machine_client import MachineLostError
-from mobo_tuner.tuner.messages import front_message
+from mobo_tuner.tuner.messages import constraint_messages, front_message
 from mobo_tuner.tuner.run.loop import RunLoop
 from mobo_tuner.tuner.run.run import Run, RunError
 from mobo_tuner.tuner.run.start import read_earlier, reopen_run
@@ -160,7 +160,7 @@ class WorkingPoints:
         )
         target = Target(setpoint, anyway=request.anyway)
         self._check(target, chosen.index, request.hold_evaluations)
-        return Choice(run, chosen, target, sums, request.hold_evaluations, radius)
+        return Choice(run, chosen, target, sums, request.hold_evaluations, radius, request.measure)
 
     def _check(self, target: Target, index: int, hold_evaluations: int) -> None:
         """Check that the machine may go to a point, and search around it if it is to be held there.
@@ -201,6 +201,8 @@ class WorkingPoints:
     ) -> None:
         await self._meet_machine(choice.run, interrupt)
         await self._move(choice.run, choice.target, interrupt, goal, result)
+        if choice.measure:
+            await self._measure(choice, interrupt, goal, result)
         if not choice.hold_evaluations:
             return
 
@@ -273,6 +275,41 @@ class WorkingPoints:
         if answer.error_code != EvaluateSetpoint.Result.NONE:
             raise RunError(_CODES.MACHINE_ERROR, answer.error_msg)
 
+    async def _measure(
+        self, choice: Choice, interrupt: Future, goal: Goal, result: GoToWorkingPoint.Result
+    ) -> None:
+        """Measure once where the machine is; a failure leaves the result without a measurement.
+
+        Raises:
+            RunError: If the goal was canceled.
+        """
+        context, units = self._context, choice.run.problem.units
+        request = EvaluationRequest(
+            run_id="",
+            index=0,
+            attempt=0,
+            setpoint=choice.target.setpoint,
+            shots=context.parameters.shots,
+            critical=constraint_messages(context.gate.bounds, critical_only=True),
+            anyway=choice.target.anyway,
+        )
+
+        def on_feedback(feedback: Any) -> None:
+            context.status.progress(feedback.phase, feedback.fraction)
+            goal.publish_feedback(phase=feedback.phase, readbacks=list(feedback.readbacks))
+
+        try:
+            answer = await context.gate.evaluate(request, units, on_feedback, interrupt)
+        except MachineLostError as error:
+            raise RunError(_CODES.MACHINE_LOST, str(error)) from None
+        _check(interrupt)
+        if answer.error_code != EvaluateSetpoint.Result.NONE:
+            context.log.warning(f"the point was not measured: {answer.error_msg}")
+            return
+        means = {name: mean for name, (mean, _) in answer.diagnostics.items()}
+        stddevs = {name: stddev for name, (_, stddev) in answer.diagnostics.items()}
+        result.measured = named_values(means, units, stddevs)
+
 
 class Choice(NamedTuple):
     """A goal that was checked."""
@@ -283,6 +320,7 @@ class Choice(NamedTuple):
     weights: tuple[float, ...]
     hold_evaluations: int
     radius: float
+    measure: bool
 
 
 def _check(interrupt: Future) -> None:
