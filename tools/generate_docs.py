@@ -66,12 +66,12 @@ publishers, servers and clients from them."""
 VERSIONING = """\
 ## Changes of the interfaces
 
-The version of the package `mobo_msgs_py` in its `package.xml` is the version of the interfaces, and follows semantic
-versioning:
+The interfaces are frozen as 1.0. The version of the package `mobo_msgs_py` in its `package.xml` is their version, and
+follows semantic versioning:
 
-- **Major** (before 1.0: minor): a field, constant, topic, service or action is removed or renamed, or changes its type,
+- **Major**: a field, constant, topic, service or action is removed or renamed, or changes its type,
   unit or meaning.
-- **Minor** (before 1.0: patch): a field, constant, topic, service or action is added. The default value of a new field
+- **Minor**: a field, constant, topic, service or action is added. The default value of a new field
   keeps the old behaviour.
 - **Patch**: descriptions change.
 

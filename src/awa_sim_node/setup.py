@@ -17,7 +17,7 @@ if "bdist_wheel" in sys.argv:  # colcon puts the executable there by setup.cfg, 
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version="1.0.0",
     description="A simulated machine to tune: the AWA injector, or a toy problem.",
     maintainer="The mobo developers",
     maintainer_email="mobo-ros@users.noreply.github.com",

@@ -30,7 +30,7 @@ if "bdist_wheel" in sys.argv:  # colcon puts the executables there by setup.cfg,
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version="1.0.0",
     description="Multi-objective Bayesian tuning of a running machine, with ROS 2 nodes around it.",
     maintainer="The mobo developers",
     maintainer_email="mobo-ros@users.noreply.github.com",

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import pytest
 from rclpy.node import Node
 
 import awa_sim_node.interfaces as machine
+from mobo_msgs_py import action, msg
+from mobo_tuner.machine import backend
 from mobo_tuner.ros import interfaces
+from mobo_tuner.runs.records import StopReason
 from tests.support.processes import NodeStarter
 
 NODES = ("tuner", "awa_sim", "recorder")
@@ -91,3 +95,27 @@ def test_the_nodes_have_the_declared_interfaces_and_no_others(
     assert {k: v for k, v in topics.items() if "/_action/" not in k[1]} == published
     assert {k: v for k, v in services.items() if "/_action/" not in k[1]} == served
     assert served_actions() == actions
+
+
+def constants(kind: type, prefix: str) -> dict[str, str]:
+    """The string constants of a message whose names begin with a prefix, by the rest of the name."""
+    names = [name for name in dir(type(kind)) if name.startswith(prefix)]
+    return {name.removeprefix(prefix): getattr(kind, name) for name in names}
+
+
+@pytest.mark.parametrize("kind", [action.Tune.Result, msg.TunerStatus])
+def test_stop_reasons_are_constants_of_the_messages(kind: type) -> None:
+    assert constants(kind, "STOP_REASON_") == {reason.name: reason for reason in StopReason}
+
+
+@pytest.mark.parametrize(
+    ("kind", "names"),
+    [
+        (action.EvaluateSetpoint.Feedback, {"RAMPING", "SETTLING", "MEASURING"}),
+        (action.ApplySetpoint.Feedback, {"RAMPING", "SETTLING"}),
+        (action.GoToWorkingPoint.Feedback, {"RAMPING", "SETTLING", "MEASURING"}),
+        (msg.TunerStatus, {"RAMPING", "SETTLING", "MEASURING"}),
+    ],
+)
+def test_phases_are_constants_of_the_messages(kind: type, names: set[str]) -> None:
+    assert constants(kind, "PHASE_") == {name: getattr(backend, name) for name in names}

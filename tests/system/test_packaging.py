@@ -52,7 +52,7 @@ def wheels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, zipfile.ZipFil
 @pytest.mark.parametrize("package", EXECUTABLES)
 def test_ros_finds_the_package(wheels: dict[str, zipfile.ZipFile], package: str) -> None:
     names = wheels[package].namelist()
-    data = f"{package}-0.1.0.data/data"
+    data = f"{package}-1.0.0.data/data"
     assert f"{data}/share/ament_index/resource_index/packages/{package}" in names
     assert f"{data}/share/{package}/package.xml" in names
     assert f"{package}/py.typed" in names
@@ -71,7 +71,7 @@ def test_every_source_file_is_packed(wheels: dict[str, zipfile.ZipFile], package
 
 @pytest.mark.parametrize("package", EXECUTABLES)
 def test_every_executable_leads_to_a_main(wheels: dict[str, zipfile.ZipFile], package: str) -> None:
-    text = wheels[package].read(f"{package}-0.1.0.dist-info/entry_points.txt").decode()
+    text = wheels[package].read(f"{package}-1.0.0.dist-info/entry_points.txt").decode()
     scripts = dict(re.findall(r"^(\S+) = ([\w.]+):main$", text, flags=re.MULTILINE))
     assert sorted(scripts) == EXECUTABLES[package]
     for module in scripts.values():
@@ -82,7 +82,7 @@ def test_every_executable_leads_to_a_main(wheels: dict[str, zipfile.ZipFile], pa
 def test_the_configurations_are_shared(wheels: dict[str, zipfile.ZipFile]) -> None:
     names = wheels["mobo_tuner"].namelist()
     for path in (SOURCE.parent / "config").glob("*.yaml"):
-        assert f"mobo_tuner-0.1.0.data/data/share/mobo_tuner/config/{path.name}" in names
+        assert f"mobo_tuner-1.0.0.data/data/share/mobo_tuner/config/{path.name}" in names
 
 
 def test_all_packages_have_one_version() -> None:
@@ -91,7 +91,7 @@ def test_all_packages_have_one_version() -> None:
     }
     with (SOURCE / "mobo_msgs_py" / "pyproject.toml").open("rb") as file:
         versions.add(tomllib.load(file)["project"]["version"])
-    assert versions == {"0.1.0"}
+    assert versions == {"1.0.0"}
 
 
 # ------------------------------------------------------------------ imports and what is declared
@@ -166,7 +166,7 @@ def foreign_imports(path: Path) -> set[str]:
 
 def declared(wheel: zipfile.ZipFile, package: str) -> dict[str, set[str]]:
     """Modules that a wheel requires, by extra; "" for those that it always does."""
-    text = wheel.read(f"{package}-0.1.0.dist-info/METADATA").decode()
+    text = wheel.read(f"{package}-1.0.0.dist-info/METADATA").decode()
     found: dict[str, set[str]] = {"": set()}
     for line in email.message_from_string(text).get_all("Requires-Dist", []):
         name = re.match(r"[\w.]+", line)
@@ -222,7 +222,7 @@ def test_every_import_is_declared_for_pip_and_for_ros(
 
 
 def test_the_recorder_is_tied_to_one_version_of_rosbags(wheels: dict[str, zipfile.ZipFile]) -> None:
-    metadata = wheels["mobo_tuner"].read("mobo_tuner-0.1.0.dist-info/METADATA").decode()
+    metadata = wheels["mobo_tuner"].read("mobo_tuner-1.0.0.dist-info/METADATA").decode()
     pinned = f"rosbags=={importlib.metadata.version('rosbags')}"
     assert re.search(rf"^Requires-Dist: {re.escape(pinned)};", metadata, flags=re.MULTILINE)
     requirements = (SOURCE.parent / "requirements.txt").read_text(encoding="utf-8")

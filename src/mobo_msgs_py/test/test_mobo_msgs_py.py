@@ -22,3 +22,4 @@ def test_every_interface_has_its_type(kind: str) -> None:
 def test_the_constants_are_on_the_types() -> None:
     assert mobo_msgs_py.msg.TunerStatus.IDLE == 0
     assert mobo_msgs_py.action.EvaluateSetpoint.Result.NONE == 0
+    assert mobo_msgs_py.action.Tune.Result.STOP_REASON_BUDGET == "budget"

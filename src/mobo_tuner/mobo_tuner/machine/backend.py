@@ -20,6 +20,7 @@ from mobo_msgs_py.action import EvaluateSetpoint
 from mobo_tuner.machine.averaging import MAX_SHOTS
 from mobo_tuner.ros.diagnostics import Health
 
+# The constants PHASE_* of the actions.
 RAMPING = "ramping"
 SETTLING = "settling"
 MEASURING = "measuring"

@@ -12,6 +12,7 @@ from rclpy.node import Node
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint
 from mobo_msgs_py.srv import DescribeMachine
+from mobo_tuner.machine.backend import MEASURING
 from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.action_server import Goal
 from mobo_tuner.ros.conversions import named_values, values_of
@@ -105,7 +106,7 @@ class MachineDouble:
         self.times.append(time.monotonic())
         while self.silent or (self.held and not goal.canceled):
             if not self.silent:
-                goal.publish_feedback(phase="measuring")
+                goal.publish_feedback(phase=MEASURING)
             await first_of(self._node, timeout=PERIOD)
         self.position = values_of(request.setpoint)
         values, code, text = self.answer(request)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields
+from enum import StrEnum
 from typing import Any, Literal, NamedTuple, get_args
 
 from mobo_tuner.core.problem import Problem
@@ -150,9 +151,23 @@ class MoveRecord:
     setpoint: Values
 
 
+class StopReason(StrEnum):
+    """Why a run ended: the constants STOP_REASON_* of the messages."""
+
+    BUDGET = "budget"
+    HYPERVOLUME_GOAL = "hypervolume_goal"
+    STOPPED = "stopped"
+    CANCELED = "canceled"
+    ERROR = "error"
+
+
 @dataclass(frozen=True)
 class EndRecord:
-    """The last record of a run that was not killed."""
+    """The last record of a run that was not killed.
+
+    Attributes:
+        stop_reason: A `StopReason`, or another text from a later version.
+    """
 
     stamp: Stamp
     stop_reason: str

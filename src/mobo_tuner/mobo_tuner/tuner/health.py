@@ -14,6 +14,7 @@ from mobo_tuner.ros.diagnostics import (
     other_publishers,
 )
 from mobo_tuner.ros.waiting import STEADY_CLOCK
+from mobo_tuner.runs.records import StopReason
 from mobo_tuner.tuner.context import TunerContext
 from mobo_tuner.tuner.recording import Recording
 from mobo_tuner.tuner.session import Session
@@ -76,7 +77,7 @@ class TunerHealth:
             "recorder": status.recorder or "none",
             "free disk space [GB]": f"{status.free_space / 1e9:.1f}",
         }
-        if run is None and status.stop_reason == "error":
+        if run is None and status.stop_reason == StopReason.ERROR:
             return Health(ERROR, f"the last run ended with an error: {status.message}", values)
         if self._rival:
             return Health(WARN, self._rival, values)

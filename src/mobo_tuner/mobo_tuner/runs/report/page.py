@@ -13,7 +13,8 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from mobo_tuner.core.problem import Constraint, Problem
-from mobo_tuner.runs.recorded_run import RecordedRun
+from mobo_tuner.runs.recorded_run import UNFINISHED, RecordedRun
+from mobo_tuner.runs.records import StopReason
 from mobo_tuner.runs.report import plots
 from mobo_tuner.runs.report.figures import product_of_units
 from mobo_tuner.runs.report.models import ModelFacts, model_facts
@@ -23,12 +24,12 @@ from mobo_tuner.runs.report.svg import raised, render_legend
 MAX_TEXT = 200_000  # characters of a file that are shown
 _SHOWN_INDICES = 12
 _PLAIN = {
-    "budget": "it made all the evaluations that were asked for",
-    "hypervolume_goal": "it reached its hypervolume goal",
-    "stopped": "it was stopped",
-    "canceled": "it was cancelled",
-    "error": "an error ended it",
-    "unfinished": "it has not ended, or was killed",
+    StopReason.BUDGET: "it made all the evaluations that were asked for",
+    StopReason.HYPERVOLUME_GOAL: "it reached its hypervolume goal",
+    StopReason.STOPPED: "it was stopped",
+    StopReason.CANCELED: "it was cancelled",
+    StopReason.ERROR: "an error ended it",
+    UNFINISHED: "it has not ended, or was killed",
 }
 _DRIVES = 0.3  # least share of an output's variance that is worth a word
 _PREDICTIVE = 0.5  # least skill of a model that is worth following

@@ -13,7 +13,7 @@ from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_tuner.core import ProblemError
 from mobo_tuner.ros.waiting import first_of, until
-from mobo_tuner.runs.records import EndRecord, EvaluationRecord
+from mobo_tuner.runs.records import EndRecord, EvaluationRecord, StopReason
 from mobo_tuner.tuner.context import TunerContext, describe
 from mobo_tuner.tuner.gate import BoundsError, Gate, Target, check_bounds
 from mobo_tuner.tuner.machine_client import MachineLostError
@@ -96,13 +96,14 @@ class RunLoop:
             code = error.code if isinstance(error, RunError) else _CODES.INTERNAL
             text = str(error) if isinstance(error, RunError) else describe(error)
             self._context.log.error(f"run '{run.run_id}' ends: {text}")
-            return Ending("error", code, text)
+            return Ending(StopReason.ERROR, code, text)
         if run.interrupted:
             why = f"the run was stopped: {run.interrupt.result()}"
-            return Ending("canceled", _CODES.CANCELED, why)
+            return Ending(StopReason.CANCELED, _CODES.CANCELED, why)
         if run.steering.stopping:
-            return Ending("stopped")
-        return Ending("budget" if run.index >= run.budget else "hypervolume_goal")
+            return Ending(StopReason.STOPPED)
+        spent = run.index >= run.budget
+        return Ending(StopReason.BUDGET if spent else StopReason.HYPERVOLUME_GOAL)
 
     async def _repeat(self, run: Run, listener: Listener) -> None:
         worker = self._context.worker

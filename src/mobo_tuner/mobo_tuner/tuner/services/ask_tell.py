@@ -9,7 +9,7 @@ from mobo_msgs_py.srv import Ask, Tell
 from mobo_tuner.core import Problem, ProblemError
 from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.conversions import measurements_of, named_values, unique_values
-from mobo_tuner.runs.records import SOURCES, EvaluationRecord
+from mobo_tuner.runs.records import SOURCES, EvaluationRecord, StopReason
 from mobo_tuner.runs.run_id import new_run_id
 from mobo_tuner.tuner.context import TunerContext, describe
 from mobo_tuner.tuner.machine_client import Answer
@@ -50,7 +50,7 @@ class AskTell:
     def close(self) -> None:
         """End the run that was begun here, if any."""
         if self._run is not None:
-            end_run(self._context, self._run, Ending("stopped"))
+            end_run(self._context, self._run, Ending(StopReason.STOPPED))
             self._run = None
 
     async def _ask(self, _: Ask.Request, response: Ask.Response) -> Ask.Response:

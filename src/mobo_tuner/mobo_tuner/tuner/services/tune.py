@@ -6,7 +6,7 @@ from mobo_msgs_py import msg
 from mobo_msgs_py.action import Tune
 from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.action_server import Goal
-from mobo_tuner.runs.records import EvaluationRecord
+from mobo_tuner.runs.records import EvaluationRecord, StopReason
 from mobo_tuner.tuner.context import TunerContext
 from mobo_tuner.tuner.problem_parameters import ProblemParameters
 from mobo_tuner.tuner.run.loop import RunLoop
@@ -47,7 +47,7 @@ class TuneServer:
         except (ValueError, OSError) as error:
             return Tune.Result(
                 run_id=goal.request.run_id,
-                stop_reason="error",
+                stop_reason=StopReason.ERROR,
                 error_code=Tune.Result.INVALID_GOAL,
                 error_msg=str(error),
             )
