@@ -73,7 +73,7 @@ STAGES = (
     Stage("venv", "creating .venv", None, (sys.executable, "-m", "venv", "--clear", "{venv}")),
     Stage(
         "requirements",
-        "installing ROS 2 (rclpy), PyTorch and the numerics",
+        "installing ROS 2 (rclpy) and the numerics",
         "venv",
         (*_PIP, "-r", "requirements.txt"),
         sources=("requirements.txt",),
@@ -121,13 +121,21 @@ STAGES = (
         ("{venv}/bin/python", "-P", "-m", "mobo_tuner.warmup"),
     ),
 )
+# Beside the stages of a run. No run needs torch, which is as large as all the rest.
 DEVELOPMENT_STAGES = (
+    Stage(
+        "torch",
+        "installing PyTorch, which trains the simulated machine's surrogate",
+        "requirements",
+        (*_PIP, "-r", "requirements-torch.txt"),
+        sources=("requirements-torch.txt", "requirements.txt"),
+    ),
     Stage(
         "development",
         "installing what the tests need",
-        "requirements",
+        "torch",
         (*_PIP, "-r", "requirements-dev.txt"),
-        sources=("requirements-dev.txt", "requirements.txt"),
+        sources=("requirements-dev.txt", "requirements-torch.txt", "requirements.txt"),
     ),
 )
 

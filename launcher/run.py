@@ -31,7 +31,6 @@ _RECORDED_VERSIONS = (
     "awa_sim_node",
     "mobo_msgs_py",
     "ros-jazzy-rclpy",
-    "torch",
     "numpy",
     "scipy",
     "numba",

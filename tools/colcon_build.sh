@@ -15,8 +15,7 @@ unset LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 echo "colcon: making a virtual environment"
 python3 -m venv "$work/venv"
 export VIRTUAL_ENV=$work/venv PATH=$work/venv/bin:$PATH
-# The tuner needs no torch, which is most of what there is to download.
-grep -v '^torch==' "$root/requirements.txt" > "$work/requirements.txt"
+cp "$root/requirements.txt" "$work/requirements.txt"
 python - "$root/src/mobo_msgs_py/pyproject.toml" >> "$work/requirements.txt" <<'PYTHON'
 import sys
 import tomllib

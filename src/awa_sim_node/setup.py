@@ -24,9 +24,13 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.11",
     # rclpy and the message packages come with ROS, or from requirements.txt.
-    install_requires=["mobo_tuner", "numpy>=1.26", "torch>=2.1"],
-    # The node needs neither: they make the data set that the surrogate learns from.
-    extras_require={"simulation": ["numba>=0.58", "scipy>=1.11"], "test": ["pytest"]},
+    install_requires=["mobo_tuner", "numpy>=1.26"],
+    # The node needs none of them: the simulation makes the data set that the surrogate is trained on.
+    extras_require={
+        "simulation": ["numba>=0.58", "scipy>=1.11"],
+        "training": ["scipy>=1.11", "torch>=2.1"],
+        "test": ["pytest"],
+    },
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
         NAME: ["py.typed"],

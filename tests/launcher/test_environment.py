@@ -229,7 +229,7 @@ def test_the_project_s_own_stages_build_on_each_other_and_have_their_sources() -
 
 
 def test_requirements_are_pinned_to_one_version() -> None:
-    for name in ("requirements.txt", "requirements-dev.txt"):
+    for name in ("requirements.txt", "requirements-torch.txt", "requirements-dev.txt"):
         lines = (ROOT / name).read_text().splitlines()
         pins = [line for line in lines if not line.startswith(("#", "-r "))]
         assert pins

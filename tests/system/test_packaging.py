@@ -111,11 +111,14 @@ ROSDEP = {
     "rich": "python3-rich",
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
-    "torch": "python3-torch",
     "yaml": "python3-yaml",
 }
 """rosdep's key of each module."""
-WITHOUT_KEY = {"threadpoolctl": "python3-threadpoolctl", "pyarrow": "pip install pyarrow"}
+WITHOUT_KEY = {
+    "threadpoolctl": "python3-threadpoolctl",
+    "pyarrow": "pip install pyarrow",
+    "torch": "awa_sim_node[training]",
+}
 """How each is installed, in README.md of the package."""
 WITH_OTHERS = {"backports", "lz4", "markupsafe"}  # rosbags and Jinja2 require them
 # Which extra a part of a package needs; the longest prefix counts, nothing is needed without one.
@@ -135,7 +138,11 @@ EXTRA_OF = {
         "nodes/recorder.py": ["recorder"],
         "warmup.py": ["tuner"],
     },
-    "awa_sim_node": {"simulation": ["simulation"], "surrogate/train.py": ["simulation"]},
+    "awa_sim_node": {
+        "simulation": ["simulation"],
+        "surrogate/network.py": ["training"],
+        "surrogate/train.py": ["training"],
+    },
 }
 OF_ROS = {
     "action_msgs",
@@ -211,7 +218,7 @@ def test_every_import_is_declared_for_pip_and_for_ros(
             assert name in for_ros, f"{file} imports {name}; package.xml does not declare it"
         for name in names - OF_ROS - WITH_OTHERS:
             key = ROSDEP.get(name, name)
-            known = key in for_ros or (extras == ["simulation"] and key in for_tests)
+            known = key in for_ros or (package == "awa_sim_node" and extras and key in for_tests)
             assert known or WITHOUT_KEY.get(name, "nowhere") in readme, (file, name)
     assert set().union(*for_pip.values()) <= used, "setup.py declares what nothing imports"
     keys = {ROSDEP.get(name, name) for name in used}
@@ -250,7 +257,7 @@ sys.meta_path.insert(0, Absent())
 
 
 OPTIONAL = {
-    *("numba", "scipy", "threadpoolctl", "matplotlib", "jinja2", "markupsafe", "pyarrow"),
+    *("numba", "scipy", "threadpoolctl", "torch", "matplotlib", "jinja2", "markupsafe", "pyarrow"),
     *("rosbags", "lz4", "backports", "rich"),
 }
 OPTIMISER = {"mobo_tuner.core", "mobo_tuner.runs", "mobo_tuner.tuner"}
@@ -266,7 +273,8 @@ def test_the_machines_side_runs_without_the_optimiser() -> None:
     program = "\n".join(f"import {name.removesuffix('.__init__')}" for name in modules)
     program += """
 from awa_sim_node.machine import SimulatedMachine
-assert SimulatedMachine("toy", "ideal", 0).readbacks()
+for name in ("awa", "toy"):
+    assert SimulatedMachine(name, "ideal", 0).readbacks()
 """
     run_without(OPTIONAL | OPTIMISER, program)
 

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from awa_sim_node.surrogate import Surrogate, metadata
+from awa_sim_node.surrogate.ensemble import Ensemble
 from awa_sim_node.surrogate.network import EnsembleNetwork
 from awa_sim_node.surrogate.simulations import Simulations
 from awa_sim_node.surrogate.train import held_out_errors, tables
@@ -33,6 +34,10 @@ MEDIAN_TARGET, P95_TARGET = 0.005, 0.05
 
 NOISY_MEDIANS = {("corner", "eps_x"): 0.006, ("corner", "eps_y"): 0.0055}
 """What is reached where the target is missed: the simulation's own noise is nearly as large there."""
+
+
+SHARED = {"centre", "half_width", "log_mean", "log_scale"}
+"""Weights that all members of the ensemble have in common."""
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +80,27 @@ def test_the_middle_of_the_box_agrees_with_a_published_simulation(surrogate: Sur
         assert beam[name] == pytest.approx(value, rel=0.05), name
 
 
+def test_numpy_evaluates_the_network_that_torch_trained() -> None:
+    with np.load(Path(metadata.__file__).with_name("weights.npz")) as file:
+        weights = {name: file[name] for name in file.files}
+    members, _, hidden = weights["widths.weights.0"].shape
+    network = EnsembleNetwork(members, hidden)
+    network.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
+    limits = np.array([quantity.training_range for quantity in metadata.INPUTS])
+    # More points than are evaluated at once; the first ones lose beam.
+    points = np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (700, 8))
+    points[:50, 1] = 180.0
+    with torch.inference_mode():
+        beam = network.double()(torch.from_numpy(points))
+    expected = torch.cat([beam.logs[:, :, 0], beam.log_transmission[..., None]], dim=-1).exp()
+    found = Ensemble(weights).outputs(points)
+    assert found[..., 8].min() < 0.99
+    np.testing.assert_allclose(found, expected.numpy(), rtol=1e-13)
+    for row in (0, 699):
+        one = Ensemble(weights).outputs(points[row : row + 1])
+        np.testing.assert_allclose(one, found[:, row : row + 1], rtol=1e-13)
+
+
 def test_charge_and_kick_may_be_left_out(surrogate: Surrogate) -> None:
     settings = {name: CENTRE[name] for name in ("K1", "K2", "phi1", "phi2", "G1", "G2")}
     assert surrogate.predict(settings) == surrogate.predict(CENTRE)
@@ -95,19 +121,14 @@ def test_spread_is_that_of_the_members(surrogate: Surrogate, table: Simulations)
     by_name = dict(zip(CENTRE, points.T, strict=True))
     predicted, spread = surrogate.predict_with_spread(by_name)
     with np.load(Path(metadata.__file__).with_name("weights.npz")) as file:
-        state = {name: torch.as_tensor(file[name]) for name in file.files}
-    members, _, hidden = state["widths.weights.0"].shape
+        weights = {name: file[name] for name in file.files}
     alone = []
-    for member in range(members):
-        network = EnsembleNetwork(1, hidden).double()
-        shapes = network.state_dict()
-        network.load_state_dict(
-            {
-                name: value if value.shape == shapes[name].shape else value[member : member + 1]
-                for name, value in state.items()
-            }
-        )
-        alone.append(Surrogate(network).predict_array(points))
+    for member in range(len(weights["loss_threshold"])):
+        own = {
+            name: value if name in SHARED else value[member : member + 1]
+            for name, value in weights.items()
+        }
+        alone.append(Surrogate(own).predict_array(points))
     for j, name in enumerate(NAMES):
         expected = np.std([outputs[:, j] for outputs in alone], axis=0, ddof=1)
         np.testing.assert_allclose(spread[name], expected, rtol=1e-4, atol=1e-9)

@@ -57,8 +57,8 @@ def test_training_learns_and_repeats_itself(some: Simulations) -> None:
     for one, other in zip(first.parameters(), second.parameters(), strict=True):
         assert torch.equal(one, other)
     simulated = some.outputs[:, 0]
-    trained_error = error_table(Surrogate(first).predict_array(some.inputs), simulated)
-    before = error_table(Surrogate(untrained).predict_array(some.inputs), simulated)
+    trained_error = error_table(Surrogate(first.arrays()).predict_array(some.inputs), simulated)
+    before = error_table(Surrogate(untrained.arrays()).predict_array(some.inputs), simulated)
     assert trained_error["eps_x"]["median"] < 0.5 * before["eps_x"]["median"]
 
 

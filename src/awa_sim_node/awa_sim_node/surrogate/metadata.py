@@ -1,4 +1,4 @@
-"""Names, units and ranges of the surrogate's inputs and outputs, readable without torch."""
+"""Names, units and ranges of the surrogate's inputs and outputs."""
 
 from __future__ import annotations
 

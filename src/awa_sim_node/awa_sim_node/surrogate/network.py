@@ -1,4 +1,4 @@
-"""The network: three perceptrons with known physics built in.
+"""The network as torch trains it: three perceptrons with known physics built in.
 
 * The machine is symmetric about its axis except for the quadrupole kick k of the linac coupler, and
   a rotation of the beam by 90 degrees changes the sign of k. So one function f gives both transverse
@@ -14,6 +14,8 @@
 * Widths, emittances and lengths have one perceptron each. All of them also learn the beam half-way
   to the screen, and that of the emittances also learns the widths: these auxiliary targets only
   serve to improve the inner representation.
+
+`ensemble.Ensemble` evaluates the trained network at the screen, without torch.
 """
 
 from __future__ import annotations
@@ -27,6 +29,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from awa_sim_node.surrogate.ensemble import (
+    GUN_ENERGY,
+    LINAC_ENERGY,
+    REST_ENERGY,
+    SIZE_POWER,
+    WIDTH_FLOOR,
+)
 from awa_sim_node.surrogate.metadata import INPUTS
 
 _PLANES: Final = 2
@@ -34,10 +43,6 @@ _LOGS: Final = 8  # sigma_x, sigma_y, sigma_z, eps_x, eps_y, eps_z, dE, energy
 _FEATURES: Final = 12
 _DEPTH: Final = 4  # hidden layers
 
-_WIDTH_FLOOR: Final = math.exp(-1.5)  # initial ratio of the narrowest waist to the typical width
-_SIZE_POWER: Final = (
-    4.0  # exponent of the mean of the two widths that determines the losses: nearly the maximum
-)
 _INITIAL_LIMIT: Final = 23.5  # initial value of the rms width at which losses start [mm]
 
 
@@ -139,6 +144,10 @@ class EnsembleNetwork(nn.Module):
         """Return the matrices of all hidden and output layers."""
         return [*self.widths.weights, *self.emittances.weights, *self.lengths.weights]
 
+    def arrays(self) -> dict[str, NDArray[np.float64]]:
+        """Return all weights by name, as `ensemble.Ensemble` takes them."""
+        return {name: value.detach().numpy() for name, value in self.state_dict().items()}
+
     def standardise(self, inputs: NDArray[np.float64], logs: NDArray[np.float64]) -> None:
         """Set mean and scale of the outputs from the training data.
 
@@ -214,8 +223,8 @@ class EnsembleNetwork(nn.Module):
         Args:
             log_widths: Logs of the widths without losses, ``(M, n, 2)``.
         """
-        summed = torch.logsumexp(_SIZE_POWER * log_widths, dim=-1) - math.log(2.0)
-        log_area = 2.0 / _SIZE_POWER * summed
+        summed = torch.logsumexp(SIZE_POWER * log_widths, dim=-1) - math.log(2.0)
+        log_area = 2.0 / SIZE_POWER * summed
         softness = torch.exp(self.loss_log_softness)
         excess = softness * nn.functional.softplus((log_area - self.loss_threshold) / softness)
         return -torch.exp(self.loss_log_slope) * excess
@@ -228,11 +237,11 @@ def _planes(values: Tensor) -> Tensor:
 
 def _log_width(values: Tensor) -> Tensor:
     """Return 0.5 log((1 + focus)^2 + floor^2); the last axis of ``values`` gives both."""
-    focus, floor = values[..., 0], _WIDTH_FLOOR * torch.exp(values[..., 1])
+    focus, floor = values[..., 0], WIDTH_FLOOR * torch.exp(values[..., 1])
     return 0.5 * torch.log((1.0 + focus) ** 2 + floor**2)
 
 
 def _log_energy(inputs: Tensor) -> Tensor:
     """Return the log of an estimate of the energy, linac plus gun, ``(n,)``."""
-    linac = 0.402 * inputs[:, 5] * torch.cos(torch.deg2rad(inputs[:, 3]))
-    return torch.log(linac + 0.1055 * inputs[:, 4] - 0.05)
+    linac = LINAC_ENERGY * inputs[:, 5] * torch.cos(torch.deg2rad(inputs[:, 3]))
+    return torch.log(linac + GUN_ENERGY * inputs[:, 4] - REST_ENERGY)

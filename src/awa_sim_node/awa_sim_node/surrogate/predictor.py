@@ -7,16 +7,15 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike, NDArray
 
+from awa_sim_node.surrogate.ensemble import Ensemble
 from awa_sim_node.surrogate.metadata import (
     DEFAULT_CHARGE,
     DEFAULT_COUPLER_KICK,
     INPUTS,
     OUTPUTS,
 )
-from awa_sim_node.surrogate.network import Beam, EnsembleNetwork
 
 WEIGHTS_FILE: Final = "weights.npz"
 
@@ -44,13 +43,13 @@ class Surrogate:
     }
     """Defaults of the optional inputs."""
 
-    def __init__(self, network: EnsembleNetwork) -> None:
+    def __init__(self, weights: Mapping[str, NDArray[Any]]) -> None:
         """Wrap a trained network.
 
         Args:
-            network: Network in double precision.
+            weights: Weights of the network by name, as in ``weights.npz``.
         """
-        self._network = network.eval()
+        self._ensemble = Ensemble(weights)
         self._low, self._high = np.array([quantity.training_range for quantity in INPUTS]).T
 
     @classmethod
@@ -61,11 +60,7 @@ class Surrogate:
             folder: Folder with ``weights.npz``; by default that of the project's own surrogate.
         """
         with np.load(folder / WEIGHTS_FILE, allow_pickle=False) as file:
-            state = {name: torch.as_tensor(file[name]) for name in file.files}
-        members, _, hidden = state["widths.weights.0"].shape
-        network = EnsembleNetwork(members, hidden)
-        network.load_state_dict(state)
-        return cls(network.double())
+            return cls({name: file[name] for name in file.files})
 
     def predict(self, inputs: Mapping[str, ArrayLike]) -> dict[str, Any]:
         """Predict the beam at the screen.
@@ -148,8 +143,7 @@ class Surrogate:
                 f"inputs of shape {inputs.shape} must have the shape (n, {len(INPUTS)})"
             )
         self._refuse_extrapolation(inputs)
-        with torch.inference_mode():
-            return _outputs(self._network(torch.from_numpy(inputs)))
+        return self._ensemble.outputs(inputs)
 
     def _refuse_extrapolation(self, inputs: NDArray[np.float64]) -> None:
         outside = ~((inputs >= self._low) & (inputs <= self._high))
@@ -162,12 +156,6 @@ class Surrogate:
             f"range of the surrogate, {self._low[column]:g} to {self._high[column]:g} "
             f"{quantity.unit}"
         )
-
-
-def _outputs(beam: Beam) -> NDArray[np.float64]:
-    """Return the outputs at the screen of each member of an ensemble, ``(M, n, 9)``."""
-    logs = torch.cat([beam.logs[:, :, 0], beam.log_transmission[..., None]], dim=-1)
-    return np.asarray(torch.exp(logs).numpy(), dtype=np.float64)
 
 
 def _average(members: NDArray[np.float64]) -> NDArray[np.float64]:

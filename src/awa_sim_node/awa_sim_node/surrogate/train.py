@@ -210,8 +210,9 @@ def train(
         )
     say(f"training {recipe.members} networks on {(~held_out).sum()} rows")
     network = fit(table.where(~held_out), recipe).float()
-    np.savez(folder / WEIGHTS_FILE, **{k: v.numpy() for k, v in network.state_dict().items()})
-    surrogate = Surrogate(network.double())
+    weights: dict[str, Any] = network.arrays()
+    np.savez(folder / WEIGHTS_FILE, **weights)
+    surrogate = Surrogate(weights)
     content = {
         "recipe": asdict(recipe),
         "rows": int((~held_out).sum()),
