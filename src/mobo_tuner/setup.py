@@ -8,7 +8,7 @@ from setuptools import find_packages, setup
 NAME = "mobo_tuner"
 EXECUTABLES = ("console", "machine_bridge", "recorder", "steer", "tuner")
 # Exactly this version of rosbags: runs/bag.py writes MCAP with parts of it that may change.
-BAGS = ["backports.zstd", "lz4", "rosbags==0.11.9"]
+BAGS = ["backports.zstd>=1.0", "lz4>=4.0", "rosbags==0.11.9"]
 TUNER = ["numba>=0.58", "scipy>=1.11", "threadpoolctl>=3.1", *BAGS]  # resumes from a bag, too
 EXTRAS = {
     "tuner": TUNER,

@@ -246,3 +246,9 @@ def test_other_pythons_and_ros_installations_are_kept_out(monkeypatch: pytest.Mo
     assert clean["ROS_DOMAIN_ID"] == "7"
     assert not set(misleading) & set(clean)
     assert "_ROS_WHEELS_BOOTSTRAP_COMPLETE" not in clean
+
+
+def test_a_run_needs_no_torch() -> None:
+    assert "torch" not in (ROOT / "requirements.txt").read_text()
+    assert "torch" not in {stage.name for stage in STAGES}
+    assert "torch" in {stage.name for stage in DEVELOPMENT_STAGES}

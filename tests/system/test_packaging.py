@@ -236,6 +236,22 @@ def test_the_recorder_is_tied_to_one_version_of_rosbags(wheels: dict[str, zipfil
     assert pinned in requirements.splitlines()
 
 
+def test_the_oldest_versions_allowed_are_those_that_are_tested(
+    wheels: dict[str, zipfile.ZipFile],
+) -> None:
+    lines = (SOURCE.parent / "requirements-oldest.txt").read_text(encoding="utf-8").splitlines()
+    tested = dict(re.findall(r"^([\w.-]+)==(\S+)$", "\n".join(lines), flags=re.MULTILINE))
+    for package, wheel in wheels.items():
+        text = wheel.read(f"{package}-1.0.0.dist-info/METADATA").decode()
+        required = re.findall(r"^Requires-Dist: ([\w.-]+)(.*?)(?:;|$)", text, flags=re.MULTILINE)
+        for name, bound in required:
+            if name in ("mobo_tuner", "pytest", "rosbags", "torch"):  # ours, a tool, pinned, unused
+                continue
+            assert bound.startswith(">="), f"setup.py of {package} has no lower bound of {name}"
+            if name in tested:
+                assert f"{tested[name]}.".startswith(f"{bound.removeprefix('>=').strip()}."), name
+
+
 def run_without(absent: set[str], program: str) -> None:
     """Run a program in which some modules cannot be imported."""
     hook = f"""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from copy import copy
 from typing import Any, NamedTuple
@@ -99,7 +100,7 @@ class GaussianProcess:
         if mean is None and mean_gradient is not None:
             raise ValueError("mean_gradient needs a mean function")
         self._mean, self._mean_gradient = mean, mean_gradient
-        if reference is not None and not np.isfinite(reference):
+        if reference is not None and not math.isfinite(reference):
             raise ValueError(f"reference must be finite, got {reference}")
         if reference is None and mean is None and self.settings.mean == "reference":
             raise ValueError("reference must be given with mean='reference'")
