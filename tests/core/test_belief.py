@@ -216,6 +216,27 @@ def test_where_readings_are_noisy_the_front_is_that_of_the_models(
     assert restored.ask() == optimizer.ask()
 
 
+def test_looking_at_what_is_believed_changes_no_suggestion() -> None:
+    seen, unseen = (Optimizer(problem("f", "g"), seed=2) for _ in range(2))
+    tune(unseen, 14, noisy(0.2, 3, told=True))
+    machine = noisy(0.2, 3, told=True)
+    for i, evaluation in enumerate(unseen.dataset.evaluations):
+        setpoint = seen.ask()
+        assert setpoint == evaluation.setpoint
+        seen.tell(setpoint, machine(i, truth(**setpoint)))
+        assert 0.0 <= seen.hypervolume <= REFERENCE**2
+        assert len(seen.pareto_front()) == len(seen.pareto_front(probability=False))
+    assert seen.hypervolume == unseen.hypervolume
+
+
+def test_probabilities_are_left_out_on_request() -> None:
+    optimizer = tune(Optimizer(problem("f", "g"), seed=1), 10, noisy(0.2, 1, told=True))
+    front = optimizer.pareto_front()
+    for point in front:
+        del point["probability"]
+    assert optimizer.pareto_front(probability=False) == front
+
+
 def test_one_point_measured_often_does_not_climb() -> None:
     optimizer, machine = Optimizer(problem("f", "g")), noisy(0.5, 2, told=False)
     for _ in range(60):

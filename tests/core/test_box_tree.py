@@ -1,36 +1,12 @@
-"""Packing, and compilation where nothing can be cached; the rest is tested through the hypervolume."""
+"""Packing; the rest is tested through the hypervolume."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
-import numba
 import numpy as np
 import pytest
 
 from mobo_tuner.core import box_tree
 from mobo_tuner.core.hypervolume import BoxDecomposition
-
-
-def doubled(value: float) -> float:
-    return 2.0 * value
-
-
-def test_without_a_place_for_the_cache(monkeypatch: pytest.MonkeyPatch) -> None:
-    njit: Callable[..., Any] = numba.njit
-
-    def no_locator(*args: Any, cache: bool = False, **options: Any) -> Any:
-        if cache:
-
-            def refuse(_: object) -> None:
-                raise RuntimeError("cannot cache function: no locator available")
-
-            return refuse
-        return njit(*args, **options)
-
-    monkeypatch.setattr(numba, "njit", no_locator)
-    assert box_tree.compiled(doubled)(21.0) == 42.0
 
 
 @pytest.mark.parametrize("n_objectives", [1, 2, 5])

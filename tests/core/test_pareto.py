@@ -9,6 +9,7 @@ import pytest
 from mobo_tuner.core.pareto import (
     BoolArray,
     FloatArray,
+    count_nondominated,
     is_below,
     is_nondominated,
     pareto_front,
@@ -41,6 +42,13 @@ def test_front_agrees_with_moocore() -> None:
     rng = np.random.default_rng(0)
     points = rng.random((2000, 4))
     np.testing.assert_array_equal(is_nondominated(points), moocore.is_nondominated(points))
+
+
+def test_points_are_counted_over_several_sets() -> None:
+    draws = np.random.default_rng(1).integers(0, 5, (20, 12, 3)).astype(float)
+    counts = np.sum([moocore.is_nondominated(draw) for draw in draws], axis=0)
+    np.testing.assert_array_equal(count_nondominated(draws), counts)
+    assert count_nondominated(np.empty((5, 0, 3))).shape == (0,)
 
 
 def test_first_of_duplicates_counts() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.core.acquisition import ACQUISITION_FUNCTIONS
 from mobo_tuner.core.hypervolume import BoxDecomposition
+from mobo_tuner.core.pareto import count_nondominated
 
 _PROBLEM = {
     "variables": {"x": {"min": 0.0, "max": 1.0}},
@@ -31,6 +32,7 @@ def warm_up() -> None:
             optimizer.tell(setpoint, {"f": x**2, "g": (1.0 - x) ** 2})
     far = [[9.0, 9.0]]
     BoxDecomposition([2.0, 2.0]).log_expected_improvement_with_gradient(far, [[0.1, 0.1]], None)
+    count_nondominated([far])
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mobo_tuner.core.dataset import BoolArray, Dataset
 from mobo_tuner.core.models import Models
-from mobo_tuner.core.pareto import is_below, is_nondominated
+from mobo_tuner.core.pareto import count_nondominated, is_below, is_nondominated
 from mobo_tuner.core.problem import Array, Problem
 
 _DRAWS = 64
@@ -67,7 +67,7 @@ def probability_nondominated(
     worst = (belief.objectives + spread)[rows]
     best = (belief.objectives - spread)[rows]
     worst = worst[is_nondominated(worst)]
-    hopeless = np.array([bool((worst < b).all(axis=1).any()) for b in best], dtype=bool)
+    hopeless = np.any(np.all(worst < best[:, None], axis=2), axis=1)
     rows = rows[~hopeless]
     draws = np.empty((_DRAWS, len(rows), belief.objectives.shape[1]))
     for column, model in enumerate(models.objectives):
@@ -76,8 +76,7 @@ def probability_nondominated(
         if len(doubted):
             normals = rng.standard_normal((_DRAWS, len(doubted)))
             draws[:, doubted, column] = model.sample(data.inputs[rows[doubted]], normals)
-    counts = np.sum([is_nondominated(draw) for draw in draws], axis=0)
-    probability[rows] = counts / _DRAWS
+    probability[rows] = count_nondominated(draws) / _DRAWS
     return probability
 
 

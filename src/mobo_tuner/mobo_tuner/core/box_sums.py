@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfcx
 
-from mobo_tuner.core.box_tree import LEAF, BoxTree, compiled
+from mobo_tuner.core.box_tree import LEAF, BoxTree
+from mobo_tuner.core.compilation import compiled
 from mobo_tuner.core.pareto import FloatArray
 
 _HALF_NODES, _HALF_WEIGHTS = np.polynomial.legendre.leggauss(6)

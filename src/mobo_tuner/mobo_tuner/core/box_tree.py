@@ -18,34 +18,17 @@ then has the upper corner `levels[upper[b, j], j]` and the lower corner `levels[
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, ParamSpec, TypeVar
+from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from mobo_tuner.core.compilation import compiled
 from mobo_tuner.core.pareto import FloatArray
 
-Parameters = ParamSpec("Parameters")
-Result = TypeVar("Result")
 IndexArray = NDArray[Any]  # uint16, or uint32 for more than 65 000 points; unsigned is faster
 
 LEAF = 0  # the root is not a child of any node
-
-
-def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
-    """Compile to machine code that runs without the interpreter lock and is cached on disk.
-
-    The cache only notices changes in the function's own file: a compiled function must not call
-    one in another module. Without a writable directory, there is no cache.
-    """
-    jitted: Callable[Parameters, Result]
-    try:
-        jitted = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:
-        jitted = numba.njit(nogil=True, error_model="numpy")(function)
-    return jitted
 
 
 class BoxTree(NamedTuple):

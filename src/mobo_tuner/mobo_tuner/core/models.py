@@ -224,10 +224,13 @@ class Models:
             other.update(data)
         return other
 
-    def update(self, data: Dataset) -> None:
+    def update(self, data: Dataset) -> bool:
         """Learn the evaluations that are new, training when it is time to.
 
         What it does depends on `data` and on when it was called before, on nothing else.
+
+        Returns:
+            Whether any process was trained; otherwise the new models are those of `extended`.
         """
         if len(data) > self._judged or self._outdated:
             self._judged = len(data)
@@ -235,18 +238,24 @@ class Models:
             self.validity.fit(data.inputs[judged], ~data.failed[judged])
         count = self._count(data)
         if count == 0 or (count == self._count(data, self._held) and not self._outdated):
-            return
+            return False
         patience = self._refit_every or 1 + self._trained // 25
         train = self._trained == 0 or self._outdated or count - self._trained >= patience
         restarts = None if self._outdated or _is_time_to_restart(self._trained, count) else 0
-        self._learn(data, train, restarts)
+        trained = self._learn(data, train, restarts)
         self._outdated = False
         if train:
             self._trained, self._trained_rows = count, len(data)
+        return trained
 
-    def _learn(self, data: Dataset, train: bool, restarts: int | None) -> None:
-        """Give every process the rows of its output, by training or one after the other."""
+    def _learn(self, data: Dataset, train: bool, restarts: int | None) -> bool:
+        """Give every process the rows of its output, by training or one after the other.
+
+        Returns:
+            Whether any process was trained.
+        """
         count, inputs = self._count(data), data.inputs
+        trained = train
         begin = time.monotonic()
         noisy = self._learns_noise
         for position, (name, process) in enumerate(self._processes.items()):
@@ -255,6 +264,7 @@ class Models:
             if len(rows) == 0:
                 continue
             if train or process.n == 0:
+                trained = True
                 rng = np.random.default_rng([self._seed, 1, count, position])
                 kept = self._kept(data, rows) if train else rows
                 share = _TRAINING_SHARE * (position + 1) / len(self._processes)
@@ -280,6 +290,7 @@ class Models:
             self._weigh_noise(begin + _TRAINING_SHARE * self._seconds)
             if self._learns_noise and not noisy and not self._is_hurried:
                 self._learn(data, train, restarts)
+        return trained
 
     def _suspect(
         self, name: str, data: Dataset, rows: NDArray[np.intp], noisy: bool, seed: list[int]

@@ -32,7 +32,7 @@ from mobo_tuner.core.exploration import explore
 from mobo_tuner.core.focus import around, choose_on_front
 from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.hints import hints, nearest_to_reference
-from mobo_tuner.core.hypervolume import BoxDecomposition, hypervolume
+from mobo_tuner.core.hypervolume import BoxDecomposition
 from mobo_tuner.core.initial_design import initial_design
 from mobo_tuner.core.linear_algebra import single_blas_thread
 from mobo_tuner.core.models import Models, PriorMean
@@ -103,8 +103,10 @@ class Optimizer:
         self._boxes = _no_boxes(problem)
         self._packed = 0  # number of evaluations when the boxes were last built again
         self._hypervolume = 0.0
-        self._belief: Belief | None = None  # of all that was told, once it was needed
-        self._believed_hypervolume: float | None = None
+        # Of all that was told, each once it was needed:
+        self._extended: Models | None = None
+        self._belief: Belief | None = None
+        self._believed_boxes: BoxDecomposition | None = None
         self._last_source: Source = "initial"
         self._deadline = math.inf  # of the present suggestion, of `time.monotonic`
         self._told: set[str] = set()  # outputs that were told, or are known to be misspelt
@@ -132,12 +134,7 @@ class Optimizer:
         """
         if self._is_certain or not self.problem.has_references:
             return self._hypervolume
-        if self._believed_hypervolume is None:
-            belief = self._believed()
-            self._believed_hypervolume = hypervolume(
-                belief.objectives[belief.front_rows()], self.problem.reference_point
-            )
-        return self._believed_hypervolume
+        return self._believed_front().hypervolume
 
     @property
     def suspected(self) -> list[tuple[int, str]]:
@@ -153,44 +150,46 @@ class Optimizer:
         """Hypervolume of the complete readings as they are, as for `hypervolume`."""
         return self._hypervolume
 
-    def pareto_front(self, measured: bool = False) -> list[dict[str, Any]]:
+    def pareto_front(
+        self, measured: bool = False, *, probability: bool = True
+    ) -> list[dict[str, Any]]:
         """Return the points that are feasible, non-dominated and strictly better than the reference point.
 
         Args:
             measured: Whether to take complete readings as they are, in place of what is believed.
+            probability: Whether to compute probabilities, in twice the time if readings are noisy.
 
         Returns:
             For each point `index`, `setpoint`, `objectives` and their `stddevs`, in their own units,
             `predicted`, the names of the objectives that were not measured there, and `probability`
-            of the point to be non-dominated among all evaluations.
+            of the point to be non-dominated among all evaluations, if it is computed.
         """
-        if measured or self._is_certain:
-            belief = _measured(self.dataset)
-            probability = np.ones(len(self.dataset))
-        else:
-            belief = self._believed()
+        certain = measured or self._is_certain
+        belief = _measured(self.dataset) if certain else self._believed()
+        probabilities = None
+        if probability and certain:
+            probabilities = np.ones(len(self.dataset))
+        elif probability:
             rng = np.random.default_rng([self.seed, 5, len(self.dataset)])
             with single_blas_thread():
-                models = self._models.extended(self.dataset)
-                probability = probability_nondominated(self.dataset, models, belief, rng)
+                probabilities = probability_nondominated(self.dataset, self.models, belief, rng)
         names = self.problem.objective_names
         signs = np.array([o.sign for o in self.problem.objectives])
         front = []
         for row in belief.front_rows():
             evaluation = self.dataset.evaluations[row]
             values = (signs * belief.objectives[row]).tolist()
-            front.append(
-                {
-                    "index": evaluation.index,
-                    "setpoint": dict(evaluation.setpoint),
-                    "objectives": dict(zip(names, values, strict=True)),
-                    "probability": float(probability[row]),
-                    "stddevs": dict(zip(names, belief.stddevs[row].tolist(), strict=True)),
-                    "predicted": [
-                        n for n, p in zip(names, belief.predicted[row], strict=True) if p
-                    ],
-                }
-            )
+            predicted = zip(names, belief.predicted[row], strict=True)
+            point = {
+                "index": evaluation.index,
+                "setpoint": dict(evaluation.setpoint),
+                "objectives": dict(zip(names, values, strict=True)),
+                "stddevs": dict(zip(names, belief.stddevs[row].tolist(), strict=True)),
+                "predicted": [name for name, is_predicted in predicted if is_predicted],
+            }
+            if probabilities is not None:
+                point["probability"] = float(probabilities[row])
+            front.append(point)
         return front
 
     def tell(
@@ -292,17 +291,26 @@ class Optimizer:
                 self._belief = _measured(self.dataset)
             else:
                 with single_blas_thread():
-                    models = self._models.extended(self.dataset)
-                    self._belief = believe(self.dataset, models)
+                    self._belief = believe(self.dataset, self.models)
         return self._belief
 
+    def _believed_front(self) -> BoxDecomposition:
+        """Return the boxes of what is believed, for all objectives."""
+        if self._believed_boxes is None:
+            belief = self._believed()
+            self._believed_boxes = BoxDecomposition(
+                self.problem.reference_point, belief.objectives[belief.feasible]
+            )
+        return self._believed_boxes
+
     def _forget_belief(self) -> None:
-        self._belief = self._believed_hypervolume = None
+        self._extended = self._belief = self._believed_boxes = None
 
     def _update_models(self) -> None:
         was_certain = self._is_certain
-        self._models.update(self.dataset)
-        if not (was_certain and self._is_certain):
+        trained = self._models.update(self.dataset)
+        self._extended = None
+        if trained and not (was_certain and self._is_certain):
             self._forget_belief()
 
     def _warn_of_misspelt(self, outputs: Mapping[str, Any]) -> None:
@@ -327,8 +335,10 @@ class Optimizer:
 
         They are trained here if they were not yet. Nothing that this optimiser asks later depends on it.
         """
-        with single_blas_thread():
-            return self._models.extended(self.dataset)
+        if self._extended is None:
+            with single_blas_thread():
+                self._extended = self._models.extended(self.dataset)
+        return self._extended
 
     def hints(self) -> list[str]:
         """Return what keeps the front empty, one sentence each; none once there is a front.
@@ -785,8 +795,9 @@ class Optimizer:
 
         def front() -> BoxDecomposition:
             boxes = self._front()
-            is_front = self._is_certain and not nearest
-            return boxes if is_front else BoxDecomposition(reference, values)
+            if nearest or not known.all():
+                return BoxDecomposition(reference, values)
+            return boxes if self._is_certain else self._believed_front()
 
         return chosen.of(Knowledge(models, values, reference, beta, front, truncation, tails))
 

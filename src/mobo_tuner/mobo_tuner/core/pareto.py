@@ -11,8 +11,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mobo_tuner.core.compilation import compiled
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+CountArray = NDArray[np.int64]
 
 
 def as_points(values: ArrayLike, name: str, n_objectives: int | None = None) -> FloatArray:
@@ -50,24 +53,76 @@ def is_nondominated(points: ArrayLike) -> BoolArray:
     Raises:
         ValueError: If `points` is not two-dimensional.
 
-    Complexity: O(k n P) time for k points on the front, O(n P) memory.
+    Complexity: O(k n P) time for at most k points on the front of the first ones, O(n P) memory.
 
     Example:
         >>> is_nondominated([[1.0, 3.0], [2.0, 2.0], [2.0, 4.0], [3.0, 1.0]])
         array([ True,  True, False,  True])
     """
-    points = as_points(points, "points")
-    mask = np.zeros(len(points), dtype=np.bool_)
-    valid = np.flatnonzero(~np.isnan(points).any(axis=1))
-    # In lexicographic order a point is only ever dominated by an earlier one, and the sort is
-    # stable, so a point that weakly dominates a later one removes it, including duplicates.
-    remaining = valid[np.lexsort(points[valid].T[::-1])]
-    while len(remaining):
-        first = remaining[0]
-        mask[first] = True
-        remaining = remaining[1:]
-        remaining = remaining[(points[remaining] < points[first]).any(axis=1)]
+    return _nondominated(as_points(points, "points"))
+
+
+@compiled
+def _nondominated(points: FloatArray) -> BoolArray:
+    """Mark the Pareto front of points `(n, P)`, one point after the other."""
+    n, n_objectives = points.shape
+    mask = np.zeros(n, np.bool_)
+    front = np.empty(n, np.int64)  # rows of the front of the points so far
+    size = 0
+    for i in range(n):
+        dominated = False
+        for j in range(n_objectives):
+            if np.isnan(points[i, j]):
+                dominated = True
+        kept = 0
+        for k in range(size):
+            if dominated:
+                break
+            no_worse = no_better = True  # than the other point, in any objective
+            for j in range(n_objectives):
+                if points[i, j] > points[front[k], j]:
+                    no_worse = False
+                elif points[i, j] < points[front[k], j]:
+                    no_better = False
+                if not (no_worse or no_better):
+                    break
+            if no_better:
+                dominated = True  # so it dominates no other, and none was removed
+            elif not no_worse:
+                front[kept] = front[k]
+                kept += 1
+        if not dominated:
+            front[kept] = i
+            size = kept + 1
+    for k in range(size):
+        mask[front[k]] = True
     return mask
+
+
+def count_nondominated(draws: ArrayLike) -> CountArray:
+    """Count in how many of several sets each point is on the Pareto front.
+
+    Args:
+        draws: Sets of points `(s, n, P)`, minimised.
+
+    Returns:
+        Number of sets `(n,)`; complexity as for `is_nondominated`, for each set.
+
+    Example:
+        >>> count_nondominated([[[1.0], [2.0]], [[3.0], [2.0]], [[1.0], [0.0]]])
+        array([1, 2])
+    """
+    return _counts(np.require(draws, np.float64, ["C", "A", "W"]))
+
+
+@compiled
+def _counts(draws: FloatArray) -> CountArray:
+    counts = np.zeros(draws.shape[1], np.int64)
+    for s in range(len(draws)):
+        mask = _nondominated(draws[s])
+        for i in range(len(counts)):
+            counts[i] += mask[i]
+    return counts
 
 
 def is_below(points: ArrayLike, reference: ArrayLike) -> BoolArray:

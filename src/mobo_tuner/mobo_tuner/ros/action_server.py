@@ -11,7 +11,9 @@ from rclpy.node import Node
 
 from mobo_tuner.errors import one_line
 
-RESULT_TIMEOUT = 10  # [s] a result is kept; every status message lists all goals that are kept
+# [s] a result is kept, as long as a machine waits for a silent client by default: every status message
+# lists all goals that are kept, and takes the longer to read.
+RESULT_TIMEOUT = 5
 FAULT = 255  # error code of an unforeseen exception: UNKNOWN or INTERNAL in the action
 
 

@@ -14,6 +14,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
 from rclpy.client import Client
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -52,7 +53,12 @@ class Topic:
             node: Node that publishes.
             quantity: Name of the quantity, if the topic's name has a part for it.
         """
-        return node.create_publisher(self.kind, self._name_of(quantity), self.qos)
+        # Without rclpy's own events, of which the executor would look at two per publisher whenever it
+        # waits; the subscriber warns of an incompatible QoS or type, too.
+        events = PublisherEventCallbacks(use_default_callbacks=False)
+        return node.create_publisher(
+            self.kind, self._name_of(quantity), self.qos, event_callbacks=events
+        )
 
     def subscription(
         self, node: Node, callback: Callable[[Any], None], quantity: str = ""

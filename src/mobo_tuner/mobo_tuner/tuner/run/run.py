@@ -66,7 +66,7 @@ class Findings:
         feasible: Number of those that are feasible.
         hypervolume: Hypervolume of the front.
         hypervolume_measured: Hypervolume of the complete readings as they are.
-        front: Pareto front, as `Optimizer.pareto_front` gives it.
+        front: Pareto front, as `Optimizer.pareto_front` gives it without probabilities.
         withdrawn: What was forgotten: the index of an evaluation, and a diagnostic or None for all of it.
     """
 
@@ -92,7 +92,7 @@ class Findings:
             feasible=sum(e.feasible for e in made),
             hypervolume=optimizer.hypervolume,
             hypervolume_measured=optimizer.hypervolume_measured,
-            front=tuple(optimizer.pareto_front()),
+            front=tuple(optimizer.pareto_front(probability=False)),
             withdrawn=frozenset(optimizer.dataset.withdrawn),
         )
 
