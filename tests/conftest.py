@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
-import itertools
-import os
-import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -17,7 +13,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from launcher.ros_domain import PROFILE
+from launcher.ros_domain import RosDomain
 from tests.support.processes import TIMEOUT, NodeProcess, NodeStarter
 from tests.support.tuner import CONFIG, GoalClient, Services, tune_client
 
@@ -26,33 +22,15 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
     import lark  # noqa: F401
 
-# Domain 0 is everybody's; above 101 the ports of a domain collide with Linux's ephemeral ones.
-DOMAINS = range(1, 102)
-# Each test takes the next one: what an earlier test left in this process is then out of the way.
-_numbers = itertools.count(os.getpid())
-
 
 @pytest.fixture
 def ros_domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """A ROS domain id that no other test and no run on this machine uses, set for this process."""
-    for number in itertools.islice(_numbers, len(DOMAINS)):
-        domain = DOMAINS[number % len(DOMAINS)]
-        lock = (Path(tempfile.gettempdir()) / f"mobo-ros-domain-{domain}.lock").open("a")
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            lock.close()
-            continue
-        break
-    else:
-        pytest.fail("no free ROS domain")
-    with lock:
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    with RosDomain() as domain:
+        for name, value in domain.environment.items():
+            monkeypatch.setenv(name, value)
         monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros_log"))
-        monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-        monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
-        yield domain
+        yield domain.id
 
 
 @pytest.fixture
