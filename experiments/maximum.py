@@ -18,6 +18,7 @@ from experiments.archives import NAMES, archive
 from experiments.problems import cached, surrogate_digest
 from mobo_tuner.core import Optimizer
 from mobo_tuner.core.acquisition_optimizer import Maximizer, MultiStart, ParticleSwarm
+from mobo_tuner.core.candidate_search import CandidateSearch
 
 THOROUGH = MultiStart(
     screened=4096,
@@ -37,7 +38,8 @@ MAXIMIZERS: dict[str, Maximizer] = {"multi_start": MultiStart(), "particle_swarm
 
 def find(maximizer: Maximizer, optimizer: Optimizer, seed: int) -> tuple[float, float]:
     """Return the logarithm of the largest value found, and the CPU time [s]."""
-    acquisition = optimizer._acquisition_function()
+    search = CandidateSearch(optimizer.archive, optimizer.settings, seed)
+    acquisition = search.acquisition_function()
     assert acquisition is not None, "the models must have been trained"
     rows = [point["index"] for point in optimizer.pareto_front(measured=True)]
     starts = optimizer.dataset.inputs[rows]
@@ -78,7 +80,7 @@ def main() -> None:
         for told in options.told:
             for acquisition in options.acquisitions:
                 optimizer = source.optimizer(told, acquisition=acquisition)
-                optimizer._models.update(optimizer.dataset)
+                optimizer.archive.update()
                 key, thorough = f"{name} {told} {acquisition}", 0.0
                 if key not in best:
                     best[key], thorough = find(THOROUGH, optimizer, 1000)

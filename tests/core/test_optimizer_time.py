@@ -70,7 +70,7 @@ def test_two_thousand_evaluations_are_told_and_asked_after_in_seconds() -> None:
     assert seconds_to_ask(optimizer) < 10.0
     tell(optimizer, 1, seed=1)
     assert seconds_to_ask(optimizer) < 1.0
-    assert max(model.n for model in optimizer._models.objectives) <= 510
+    assert max(model.n for model in optimizer.archive.models.objectives) <= 510
 
 
 def test_many_evaluations_are_searched_as_well_as_few() -> None:

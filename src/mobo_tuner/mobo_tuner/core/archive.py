@@ -1,0 +1,283 @@
+"""What a run knows: its evaluations, the models that learned from them, and the front as it is believed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from mobo_tuner.core.belief import Belief, believe, is_certain, measured, probability_nondominated
+from mobo_tuner.core.dataset import Dataset, Evaluation, Measured
+from mobo_tuner.core.hypervolume import BoxDecomposition
+from mobo_tuner.core.linear_algebra import single_blas_thread
+from mobo_tuner.core.models import Models, PriorMean
+from mobo_tuner.core.problem import Array, Problem, ProblemError, as_float
+from mobo_tuner.core.settings import OptimizerSettings
+
+_OFTEN_PACKED = 500  # evaluations up to which the boxes are built again after each training
+
+
+class Archive:
+    """The evaluations of a run and what follows from them.
+
+    Args:
+        problem: Problem that is tuned.
+        settings: Settings of the optimiser.
+        seed: Seed of every random choice.
+        prior_means: Functions that predict some quantities, see `models.PriorMean`.
+
+    Raises:
+        ProblemError: If a prior mean is given for a quantity that is not modelled.
+
+    Attributes:
+        problem: Problem that is tuned, with the reference point that was inferred, if any.
+        dataset: Evaluations so far.
+        models: Models as of the last `update`.
+        initial_evaluations: Number of points of the initial design.
+        hypervolume_measured: Hypervolume of the complete readings as they are, in the product of the
+            objectives' units.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        settings: OptimizerSettings,
+        seed: int,
+        prior_means: Mapping[str, PriorMean] | None,
+    ) -> None:
+        self.problem = problem
+        self.dataset = Dataset(problem)
+        self.models = Models(problem, settings, seed, prior_means)
+        self.initial_evaluations = settings.initial_evaluations or 2 * (len(problem.variables) + 1)
+        self.hypervolume_measured = 0.0
+        self._settings = settings
+        self._seed = seed
+        self._prior_means = prior_means
+        self._boxes = _no_boxes(problem)  # of the readings
+        self._packed = 0  # number of evaluations when these boxes were last built again
+        # Of all that was told, each once it was needed:
+        self._extended: Models | None = None
+        self._belief: Belief | None = None
+        self._believed_boxes: BoxDecomposition | None = None
+
+    # ------------------------------------------------------------------ evaluations
+
+    def tell(
+        self,
+        setpoint: Mapping[str, float],
+        outputs: Mapping[str, Measured | None],
+        readbacks: Mapping[str, float],
+        failed: bool | None,
+    ) -> Evaluation:
+        """Add an evaluation; arguments and errors are those of `Optimizer.tell`."""
+        evaluation = self.dataset.add(setpoint, outputs, readbacks, failed)
+        self._forget_belief()
+        if not self.problem.has_references:
+            self._infer_references()
+        elif evaluation.feasible:
+            # A sum of gains never falls, unlike a volume computed again, by its last digit.
+            self.hypervolume_measured += self._boxes.add(self._minimised(evaluation))
+        return evaluation
+
+    def forget(self, index: int, name: str | None) -> None:
+        """Withdraw an evaluation or one diagnostic of it; see `Optimizer.forget`."""
+        self.dataset.forget(index, name)
+        self._learn_again()
+
+    def unforget(self, index: int, name: str | None) -> None:
+        """Take back what `forget` withdrew; see `Optimizer.unforget`."""
+        self.dataset.unforget(index, name)
+        self._learn_again()
+
+    def update(self) -> None:
+        """Update the models, training them when it is time to."""
+        was_certain = self.is_certain
+        trained = self.models.update(self.dataset)
+        self._extended = None
+        if trained and not (was_certain and self.is_certain):
+            self._forget_belief()
+
+    def _infer_references(self) -> None:
+        """Fill in what the reference point lacks, once and for all, when the initial design is done."""
+        data = self.dataset
+        if len(data) < self.initial_evaluations:
+            return
+        problem = self.problem.with_references(
+            data.objectives, data.valid, data.feasible, self.initial_evaluations
+        )
+        if problem.has_references:
+            self.problem = data.problem = problem
+            self.models = Models(problem, self._settings, self._seed, self._prior_means)
+            self._count_hypervolume()
+
+    def _learn_again(self) -> None:
+        """Follow a change of what was told before."""
+        self._forget_belief()
+        with single_blas_thread():
+            self.models.forget(self.dataset)
+        if self.problem.has_references:
+            self._count_hypervolume()
+
+    def _count_hypervolume(self) -> None:
+        """Count the hypervolume of the readings again."""
+        self._boxes = BoxDecomposition(self.problem.reference_point)
+        self._packed = 0
+        self.hypervolume_measured = sum(
+            self._boxes.add(self._minimised(e)) for e in self.dataset.evaluations if e.feasible
+        )
+
+    def _minimised(self, evaluation: Evaluation) -> Array:
+        """Return the minimised objectives of a complete evaluation `(P,)`."""
+        return np.array([o.sign * evaluation.values[o.name] for o in self.problem.objectives])
+
+    # ------------------------------------------------------------------ belief
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether every reading counts as it is and none is missing."""
+        # The paper takes readings as they are, and its training is too slow for a belief after each.
+        return self._settings.training == "adam" or is_certain(self.dataset, self.models)
+
+    @property
+    def suspected(self) -> list[tuple[int, str]]:
+        """Suspected readings, by index and diagnostic, as of the last training."""
+        names = self.problem.required_diagnostics
+        return sorted((int(i), name) for name in names for i in self.models.suspects(name))
+
+    @property
+    def extended_models(self) -> Models:
+        """Models that know all that was told, with the hyperparameters of the last training."""
+        if self._extended is None:
+            with single_blas_thread():
+                self._extended = self.models.extended(self.dataset)
+        return self._extended
+
+    @property
+    def belief(self) -> Belief:
+        """What is believed of the evaluations."""
+        if self._belief is None:
+            if self.is_certain:
+                self._belief = measured(self.dataset)
+            else:
+                with single_blas_thread():
+                    self._belief = believe(self.dataset, self.extended_models)
+        return self._belief
+
+    @property
+    def hypervolume(self) -> float:
+        """Hypervolume of what is believed, in the product of the objectives' units."""
+        if self.is_certain or not self.problem.has_references:
+            return self.hypervolume_measured
+        return self._believed_front().hypervolume
+
+    def front(self) -> BoxDecomposition:
+        """Return the boxes that the front of what is believed does not dominate."""
+        boxes = self._measured_front()
+        return boxes if self.is_certain else self._believed_front()
+
+    def pareto_front(self, as_measured: bool, with_probability: bool) -> list[dict[str, Any]]:
+        """Return the points of the front, see `Optimizer.pareto_front`.
+
+        Args:
+            as_measured: Whether to take complete readings as they are, in place of what is believed.
+            with_probability: Whether to compute the probability of each to be non-dominated.
+        """
+        certain = as_measured or self.is_certain
+        belief = measured(self.dataset) if certain else self.belief
+        probabilities = np.ones(len(self.dataset))
+        if with_probability and not certain:
+            rng = np.random.default_rng([self._seed, 5, len(self.dataset)])
+            with single_blas_thread():
+                probabilities = probability_nondominated(
+                    self.dataset, self.extended_models, belief, rng
+                )
+        names = self.problem.objective_names
+        signs = np.array([o.sign for o in self.problem.objectives])
+        front = []
+        for row in belief.front_rows():
+            evaluation = self.dataset.evaluations[row]
+            values = (signs * belief.objectives[row]).tolist()
+            predicted = zip(names, belief.predicted[row], strict=True)
+            point = {
+                "index": evaluation.index,
+                "setpoint": dict(evaluation.setpoint),
+                "objectives": dict(zip(names, values, strict=True)),
+                "stddevs": dict(zip(names, belief.stddevs[row].tolist(), strict=True)),
+                "predicted": [name for name, is_predicted in predicted if is_predicted],
+            }
+            if with_probability:
+                point["probability"] = float(probabilities[row])
+            front.append(point)
+        return front
+
+    def _forget_belief(self) -> None:
+        self._extended = self._belief = self._believed_boxes = None
+
+    def _believed_front(self) -> BoxDecomposition:
+        if self._believed_boxes is None:
+            belief = self.belief
+            self._believed_boxes = BoxDecomposition(
+                self.problem.reference_point, belief.objectives[belief.feasible]
+            )
+        return self._believed_boxes
+
+    def _measured_front(self) -> BoxDecomposition:
+        """Return the boxes of the readings, built again when the models were trained.
+
+        In between they grow, which is slower to sum over but saves time. They depend on the data and
+        the last training only, so that a restored optimiser has the same ones.
+        """
+        trained = self.models.trained_rows
+        if self._packed == trained or (trained > _OFTEN_PACKED and trained < 1.2 * self._packed):
+            return self._boxes
+        if trained > _OFTEN_PACKED and self._settings.suggestion_seconds is not None:
+            return self._boxes
+        self._pack(trained)
+        return self._boxes
+
+    def _pack(self, trained: int) -> None:
+        """Build the boxes of the first evaluations at once, and add the others."""
+        feasible = np.flatnonzero(self.dataset.feasible)
+        objectives = self.dataset.objectives
+        rows = feasible[feasible < trained]
+        self._boxes = BoxDecomposition(self.problem.reference_point, objectives[rows])
+        for row in feasible[len(rows) :]:
+            self._boxes.add(objectives[row])
+        self._packed = trained
+
+    # ------------------------------------------------------------------ state
+
+    def get_state(self) -> dict[str, Any]:
+        """Return what `set_state` needs beside the evaluations, as data for JSON."""
+        return {
+            "hypervolume": self.hypervolume_measured,
+            "packed": self._packed,
+            "models": self.models.get_state(),
+            "forgotten": [list(each) for each in self.dataset.withdrawn],
+        }
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Become the archive that `get_state` came from, given that the same evaluations were told.
+
+        Raises:
+            ProblemError: If a value is not allowed or does not suit the evaluations.
+        """
+        for index, name in state["forgotten"]:
+            self.forget(index, name)
+        self.hypervolume_measured = as_float("the state's hypervolume", state["hypervolume"])
+        if not 0.0 <= self.hypervolume_measured < math.inf:
+            raise ProblemError(f"the state's hypervolume is {self.hypervolume_measured}")
+        self.models.set_state(state["models"], self.dataset)
+        packed = state["packed"]
+        if isinstance(packed, bool) or not isinstance(packed, int) or packed < 0:
+            raise ProblemError(f"the state's boxes hold {packed!r} evaluations")
+        if packed and self.problem.has_references:
+            self._pack(min(packed, len(self.dataset)))
+
+
+def _no_boxes(problem: Problem) -> BoxDecomposition:
+    """Return the boxes of an empty front, of no use before there is a reference point."""
+    reference = problem.reference_point
+    return BoxDecomposition(np.where(np.isfinite(reference), reference, 0.0))

@@ -1,0 +1,291 @@
+"""The search for the next candidate: the maximum of the acquisition function, or exploration."""
+
+from __future__ import annotations
+
+import math
+import time
+from functools import partial, reduce
+from operator import mul
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mobo_tuner.core.acquisition import (
+    ACQUISITION_FUNCTIONS,
+    AcquisitionFunction,
+    Knowledge,
+    Model,
+    beta_schedule,
+)
+from mobo_tuner.core.archive import Archive
+from mobo_tuner.core.constraints import ProbabilityOfFeasibility, ValidityWeight
+from mobo_tuner.core.dataset import BoolArray
+from mobo_tuner.core.exploration import explore
+from mobo_tuner.core.gaussian_process import GaussianProcess
+from mobo_tuner.core.hints import nearest_to_reference
+from mobo_tuner.core.hypervolume import BoxDecomposition
+from mobo_tuner.core.initial_design import initial_design
+from mobo_tuner.core.problem import Array
+from mobo_tuner.core.proximal import ProximalBiasing
+from mobo_tuner.core.resolution import Taken, taken
+from mobo_tuner.core.scalarisation import WeightedSum
+from mobo_tuner.core.settings import OptimizerSettings
+
+# A failed set-point is not proposed again within 1 % of every variable's range.
+FAILED_TOLERANCE = 0.02
+# A suspected reading that is better than believed is confirmed 1 % of every variable's range beside it.
+CONFIRMING_STEP = 0.02
+# A set-point within 0.05 % of every variable's range of a measured one must promise something new.
+_NEAR = 1e-3
+_ALIKE = 0.05  # range of a constraint's readings, as a share of what they lack
+_HOPELESS = 1e-4  # expected improvement of each objective, as a share of its spread
+_SKILL = 0.5  # least share of their variance that a model must explain to be followed
+
+
+class CandidateSearch:
+    """One search, over all that an archive knows.
+
+    Args:
+        archive: Evaluations and models; the models are updated.
+        settings: Settings of the optimiser.
+        seed: Seed of every random choice.
+    """
+
+    def __init__(self, archive: Archive, settings: OptimizerSettings, seed: int) -> None:
+        self._archive = archive
+        self._problem, self._data, self._models = archive.problem, archive.dataset, archive.models
+        self._settings = settings
+        self._seed = seed
+        seconds = settings.suggestion_seconds
+        self._deadline = math.inf if seconds is None else time.monotonic() + seconds
+
+    def initial_point(self, index: int) -> Array:
+        """Return a point of the initial design ``(d,)``, or one beside it if that is taken."""
+        design = initial_design(
+            self._settings.initial_design,
+            self._archive.initial_evaluations,
+            len(self._problem.variables),
+            self._seed,
+        )
+        point: Array = np.asarray(design[index])
+        used = taken(self._data)
+        if used.contains(point[None])[0] and not self._models.is_noisy(self._data):
+            rng = np.random.default_rng([self._seed, 4, index])
+            return explore(self._data.inputs, used, rng)
+        return point
+
+    def candidate(self) -> Array:
+        """Return the maximum of the acquisition function ``(d,)``; exploration where it is zero."""
+        self._archive.update()
+        rng = np.random.default_rng([self._seed, 2, len(self._data)])
+        inputs, failed = self._data.inputs, self._data.failed
+        if not self._models.ready:
+            return explore(inputs, taken(self._data), rng)
+        unconfirmed = self._unconfirmed()
+        if unconfirmed is not None:
+            return unconfirmed
+        acquisition = self.acquisition_function(tails=False)
+        if acquisition is None:
+            return self._explored(rng)
+        found = self._maximum(acquisition, rng, inputs[failed], FAILED_TOLERANCE)
+        if self._is_out_of_reach(found):
+            acquisition = self.acquisition_function(nearest=True) or acquisition
+            found = self._maximum(acquisition, rng, inputs[failed], FAILED_TOLERANCE)
+        elif found is None:
+            acquisition = self.acquisition_function() or acquisition
+            found = self._maximum(acquisition, rng, inputs[failed], FAILED_TOLERANCE)
+        if found is None:
+            return self._explored(rng)
+        used = taken(self._data)
+        if self._pays(found, used):
+            return found
+        if self._seconds_left == 0.0:
+            return self._explored(rng)
+        # The machine was there: the best elsewhere, or else what is known least.
+        centers = np.vstack([inputs[failed], used.centers])
+        reach = np.vstack([np.full(inputs[failed].shape, FAILED_TOLERANCE), used.reach])
+        other = self._maximum(acquisition, rng, centers, reach)
+        if other is not None and self._pays(other, used):
+            return other
+        return self._explored(rng)
+
+    def _unconfirmed(self) -> Array | None:
+        """Return a point beside a suspected reading that is better than believed, shape ``(d,)``.
+
+        What is worse than believed shows by itself if it is right: the search comes there again. None
+        if there is no such reading, or if each was looked at already.
+        """
+        if not self._models.has_suspects:
+            return None
+        data, inputs, belief = self._data, self._data.inputs, self._archive.belief
+        better = (data.objectives < belief.objectives).any(axis=1)
+        better |= data.feasible & ~belief.feasible
+        for index in sorted({index for index, _ in self._archive.suspected}):
+            if not better[index]:
+                continue
+            distances = np.abs(inputs[index + 1 :] - inputs[index]).max(axis=1)
+            if (distances[data.valid[index + 1 :]] > 2.0 * CONFIRMING_STEP).all():
+                inward = np.where(inputs[index] > 0.0, -1.0, 1.0)
+                return np.asarray(inputs[index] + CONFIRMING_STEP * inward)
+        return None
+
+    @property
+    def _seconds_left(self) -> float | None:
+        """Time for the rest of the suggestion [s]; None where there is no limit."""
+        left = self._deadline - time.monotonic()
+        return None if math.isinf(left) else max(left, 0.0)
+
+    def _maximum(
+        self,
+        acquisition: AcquisitionFunction,
+        rng: np.random.Generator,
+        excluded: Array,
+        tolerance: ArrayLike,
+    ) -> Array | None:
+        """Return where the acquisition function is largest ``(d,)``; None if it is zero everywhere."""
+        maximum = self._settings.make_maximizer().maximize(
+            acquisition,
+            len(self._problem.variables),
+            rng,
+            starts=self._data.inputs[self._archive.belief.front_rows()],
+            excluded=excluded,
+            tolerance=tolerance,
+            seconds=self._seconds_left,
+        )
+        return None if maximum is None else maximum.x
+
+    def _is_out_of_reach(self, found: Array | None) -> bool:
+        """Return whether no evaluation is better than the reference point, nor will be at `found`.
+
+        There is next to no improvement even at the best candidate, compared with the spread of the
+        readings. Then the search is for an improvement on the point that comes nearest.
+        """
+        belief = self._archive.belief
+        if not belief.feasible.any() or len(belief.front_rows()) or not self._models.known.all():
+            return False
+        if found is None:
+            return True
+        improvement = self._improvement(self._models.known).log_value(found[None])[0]
+        models = self._models.objectives
+        if self._settings.weights is not None:
+            spreads = [
+                sum(w * m.spread for w, m in zip(self._settings.weights, models, strict=True))
+            ]
+        else:
+            spreads = [model.spread for model in models]
+        return bool(improvement < sum(math.log(_HOPELESS * (s or 1.0)) for s in spreads))
+
+    def _pays(self, x: Array, used: Taken) -> bool:
+        """Return whether measuring at x ``(d,)`` may say anything that is not known."""
+        known = self._data.inputs[self._data.complete & self._data.valid]
+        if len(known) == 0:
+            return True
+        distances = np.abs(known - x).max(axis=1)
+        nearest = int(distances.argmin())
+        again = bool(used.contains(x[None])[0])
+        if not again and distances[nearest] > _NEAR:
+            return True
+        if again and not self._models.is_noisy(self._data):
+            return False
+        return self._models.expects_news(x, known[nearest])
+
+    def _explored(self, rng: np.random.Generator) -> Array:
+        """Return a point far from all evaluations that may be feasible and valid, shape ``(d,)``."""
+        factors = self._factors(informed=True)
+        weight = reduce(mul, factors).log_value if factors else None
+        return explore(self._data.inputs, taken(self._data), rng, weight)
+
+    def acquisition_function(
+        self, nearest: bool = False, tails: bool = True
+    ) -> AcquisitionFunction | None:
+        """Return the acquisition function over all that was told, times its factors.
+
+        None where the readings say nothing of where it is large: all objectives read alike, or a
+        constraint that was never met did.
+
+        Args:
+            nearest: Whether to improve on the evaluation that comes nearest to the reference point.
+            tails: Whether improvements that underflow are needed.
+        """
+        known = self._models.known
+        limits = self._models.constraints
+        factors = self._factors()
+        # Without a feasible point there is no front to improve: feasibility comes first.
+        if limits and not (known.any() and self._archive.belief.feasible.any()):
+            return reduce(mul, factors) if all(map(_is_informed, limits)) else None
+        if all(m.is_constant for m in self._models.objectives if m.n):
+            return None
+        if not self._problem.has_references:  # some objective was never measured
+            return None
+        return reduce(mul, [self._improvement(known, nearest, tails), *factors])
+
+    def _factors(self, informed: bool = False) -> list[AcquisitionFunction]:
+        """Return what the improvement is multiplied by.
+
+        Args:
+            informed: Whether to leave out constraints whose readings do not say where they are met.
+        """
+        factors: list[AcquisitionFunction] = [
+            ProbabilityOfFeasibility(*limit)
+            for limit in self._models.constraints
+            if not informed or _is_informed(limit)
+        ]
+        if self._data.failed.any():
+            factors.append(ValidityWeight(self._models.validity))
+        precision = self._settings.proximal_precision(self._problem)
+        if precision is not None:
+            factors.append(ProximalBiasing(self._data.inputs[-1], precision))
+        return factors
+
+    def _improvement(
+        self, known: BoolArray, nearest: bool = False, tails: bool = True
+    ) -> AcquisitionFunction:
+        """Return the acquisition function of the objectives that were measured at least once.
+
+        Args:
+            known: Which objectives these are ``(P,)``.
+            nearest: Whether the evaluation that comes nearest to the reference point takes its place
+                where that is better than it.
+            tails: Whether improvements that underflow are needed.
+        """
+        settings, belief = self._settings, self._archive.belief
+        chosen = ACQUISITION_FUNCTIONS.find(settings.acquisition)
+        models = tuple(m for m, k in zip(self._models.objectives, known, strict=True) if k)
+        values = belief.objectives[belief.feasible][:, known]
+        reference = self._problem.reference_point[known]
+        if nearest:
+            reference = np.maximum(reference, values[nearest_to_reference(values, reference)])
+        lower = self._problem.truncation_lower[known]
+        beta = settings.beta
+        if isinstance(beta, str):
+            beta = beta_schedule(len(self._data), len(self._problem.variables))
+        if chosen.single_objective and settings.weights is not None:
+            weights = np.array(settings.weights)[known]
+            if not weights.any():  # nothing that counts was measured yet
+                weights = np.ones(len(weights))
+            summed: tuple[Model, ...] = (WeightedSum(models, weights),)
+            sums = (values @ weights)[:, None]
+            worst = np.array([sums.max() if nearest else reference @ weights])
+            least = partial(BoxDecomposition, worst, sums)
+            return chosen.of(Knowledge(summed, sums, worst, beta, least))
+        truncation = (lower, reference) if np.isfinite(lower).any() else None
+
+        def front() -> BoxDecomposition:
+            boxes = self._archive.front()
+            special = nearest or not known.all()
+            return BoxDecomposition(reference, values) if special else boxes
+
+        return chosen.of(Knowledge(models, values, reference, beta, front, truncation, tails))
+
+
+def _is_informed(limit: tuple[GaussianProcess, float, float]) -> bool:
+    """Return whether the readings of a constraint say anything of where it is met.
+
+    They do not where none met it and all are alike, compared with what they lack, but for noise.
+    """
+    model, lower, upper = limit
+    least, most = model.range
+    lack = max(lower - most, least - upper)
+    if lack <= 0.0 or most - least > _ALIKE * lack:
+        return True
+    return not model.is_constant and model.skill > _SKILL

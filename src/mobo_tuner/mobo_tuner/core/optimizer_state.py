@@ -1,0 +1,93 @@
+"""The state of an optimiser as data for JSON, and its file."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mobo_tuner.core.dataset import Dataset
+from mobo_tuner.core.problem import ProblemError
+from mobo_tuner.errors import UserError
+
+STATE_VERSION = 2
+
+
+class Told(NamedTuple):
+    """Arguments with which `Optimizer.tell` was called."""
+
+    setpoint: Mapping[str, float]
+    outputs: Mapping[str, tuple[float, float]]
+    readbacks: Mapping[str, float]
+    failed: bool | None
+
+
+def evaluations_state(data: Dataset) -> list[dict[str, Any]]:
+    """Return the evaluations of a dataset as they were told, as data for JSON."""
+    return [
+        {
+            "setpoint": dict(e.setpoint),
+            "outputs": {n: [v, e.stddevs[n]] for n, v in e.values.items()},
+            "readbacks": dict(e.readbacks),
+            "failed": e.reported_failed,
+        }
+        for e in data.evaluations
+    ]
+
+
+def told_evaluations(state: Mapping[str, Any]) -> Iterator[Told]:
+    """Yield the evaluations of a state as they were told."""
+    for evaluation in state["evaluations"]:
+        yield Told(
+            evaluation["setpoint"],
+            {n: (pair[0], pair[1]) for n, pair in evaluation["outputs"].items()},
+            evaluation.get("readbacks", {}),
+            evaluation.get("failed"),
+        )
+
+
+@contextmanager
+def reading_state(state: object) -> Iterator[None]:
+    """Check the version of a state, and turn what goes wrong in reading it into one sentence.
+
+    Raises:
+        ProblemError: If the state is of another version, incomplete or damaged.
+    """
+    version = state.get("version") if isinstance(state, Mapping) else None
+    if version != STATE_VERSION:
+        raise ProblemError(f"the state is of version {version!r}; {STATE_VERSION} is allowed")
+    try:
+        yield
+    except UserError:
+        raise
+    except KeyError as error:
+        raise ProblemError(f"the state lacks {error}") from None
+    except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
+        raise ProblemError(f"the state is not one that get_state gave: {error}") from None
+
+
+def write_state(path: str | Path, state: Mapping[str, Any]) -> None:
+    """Write a state to a JSON file, which replaces an older one only when it is complete."""
+    partial = Path(f"{path}.partial")
+    partial.write_text(json.dumps(state), encoding="utf-8")
+    os.replace(partial, path)
+
+
+def read_state(path: str | Path) -> dict[str, Any]:
+    """Read the state in a JSON file; its content is not checked.
+
+    Raises:
+        ProblemError: If the file cannot be read or does not contain a state.
+    """
+    try:
+        state = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ProblemError(f"the file '{path}' cannot be read: {error.strerror}") from None
+    except ValueError:
+        raise ProblemError(f"the file '{path}' is not JSON") from None
+    if not isinstance(state, dict):
+        raise ProblemError(f"the file '{path}' holds no state of an optimiser")
+    return state
