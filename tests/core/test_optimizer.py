@@ -1,10 +1,9 @@
-"""Ask and tell: what is asked, what is learned, and that it can be saved and continued."""
+"""Ask and tell: what is asked and what is learned."""
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,35 +14,7 @@ from scipy.stats import qmc
 
 from mobo_tuner.core import Optimizer, Problem, ProblemError
 from mobo_tuner.core.focus import largest_box
-
-REFERENCE = 4.3
-TOY: dict[str, Any] = {
-    "variables": {"x1": {"min": -2.0, "max": 2.0}, "x2": {"min": -2.0, "max": 2.0}},
-    "objectives": {"f1": {"reference": REFERENCE}, "f2": {"reference": REFERENCE}},
-}
-Machine = Callable[[Mapping[str, float]], dict[str, Any]]
-
-
-def toy(x: Mapping[str, float]) -> dict[str, Any]:
-    """The paper's toy problem, Eq. (eqn:toy_problem), and its constrained quantity g."""
-    return {
-        "f1": math.hypot(x["x1"] - 1.0, x["x2"] - 1.0),
-        "f2": math.hypot(x["x1"] + 1.0, x["x2"] + 1.0),
-        "g": x["x1"],
-    }
-
-
-def tune(optimizer: Optimizer, evaluations: int, machine: Machine = toy) -> list[dict[str, float]]:
-    """Ask and tell; returns what was asked."""
-    asked = []
-    for _ in range(evaluations):
-        asked.append(optimizer.ask())
-        optimizer.tell(asked[-1], machine(asked[-1]))
-    return asked
-
-
-def with_changes(**changes: Any) -> Problem:
-    return Problem.from_dict(TOY | changes)
+from tests.core.toy_runs import REFERENCE, TOY, toy, tune, with_changes
 
 
 def toy_share(optimizer: Optimizer) -> float:
@@ -136,38 +107,6 @@ def test_where_readbacks_are_told_the_models_learn_from_them(tmp_path: Path) -> 
         sent.tell(x, {}, {"x3": 1.0})
 
 
-@pytest.mark.parametrize("told", [0, 3, 7, 12])
-def test_a_restored_optimizer_asks_what_the_original_would_have_asked(
-    told: int, tmp_path: Path
-) -> None:
-    problem = with_changes(constraints={"g": {"max": 0.5}})
-    original = Optimizer(problem, seed=6, initial_evaluations=5, refit_every=4)
-    tune(original, told)
-    original.save(tmp_path / "state.json")
-    restored = Optimizer.load(tmp_path / "state.json")
-    assert restored.hypervolume == original.hypervolume
-    assert restored.settings == original.settings
-    assert tune(restored, 5) == tune(original, 5)
-
-
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
-        ("{", "is not JSON"),
-        ("[]", "holds no state"),
-        ('{"version": 99}', "the state is of version 99"),
-        ('{"version": 2}', "the state lacks 'problem'"),
-    ],
-)
-def test_a_bad_state_is_refused_in_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
-    path = tmp_path / "state.json"
-    path.write_text(text)
-    with pytest.raises(ProblemError, match=sentence):
-        Optimizer.load(path)
-    with pytest.raises(ProblemError, match="cannot be read"):
-        Optimizer.load(tmp_path / "absent.json")
-
-
 def test_a_maximised_objective_is_maximised() -> None:
     problem = with_changes(
         objectives={
@@ -197,51 +136,6 @@ def test_a_constraint_keeps_the_front_feasible() -> None:
     assert sum(e.feasible for e in late) >= 0.75 * len(late)
 
 
-def test_feasibility_is_sought_before_anything_else() -> None:
-    def machine(x: Mapping[str, float]) -> dict[str, Any]:
-        return toy(x) | {"g": math.hypot(x["x1"] - 1.6, x["x2"] + 1.7)}
-
-    optimizer = Optimizer(with_changes(constraints={"g": {"max": 0.15}}), seed=3)
-    tune(optimizer, 25, machine)
-    feasible = optimizer.dataset.feasible
-    assert not feasible[: optimizer.initial_evaluations].any()
-    assert feasible.any()
-
-
-def test_failed_evaluations_earn_nothing_and_are_not_repeated() -> None:
-    def machine(x: Mapping[str, float]) -> dict[str, Any]:
-        return toy(x) if x["x1"] < 0.3 else {"f1": math.nan}
-
-    optimizer = Optimizer(Problem.from_dict(TOY), seed=1, initial_evaluations=6)
-    tune(optimizer, 22, machine)
-    failed = {e.index for e in optimizer.dataset.evaluations if not e.valid}
-    assert failed
-    assert failed.isdisjoint(p["index"] for p in optimizer.pareto_front())
-    inputs = optimizer.dataset.inputs
-    for i in failed:
-        later = np.abs(inputs[i + 1 :] - inputs[i]).max(axis=1)
-        assert (later > 0.02).all()
-
-
-def test_when_everything_fails_it_explores() -> None:
-    optimizer = Optimizer(Problem.from_dict(TOY), initial_evaluations=3)
-    asked = tune(optimizer, 8, lambda _: {})
-    points = np.array([list(x.values()) for x in asked])
-    distances = np.linalg.norm(points[:, None] - points, axis=2) + 10.0 * np.eye(len(points))
-    assert distances.min() > 0.5
-    assert optimizer.pareto_front() == []
-    assert optimizer.hypervolume == 0.0
-
-
-def test_when_nothing_is_feasible_it_goes_on_asking() -> None:
-    optimizer = Optimizer(with_changes(constraints={"g": {"max": -9.0}}), initial_evaluations=4)
-    asked = tune(optimizer, 9)
-    assert optimizer.pareto_front() == []
-    assert optimizer.hypervolume == 0.0
-    # g = x1 is least at the lower bound, where the constraint comes nearest to being met.
-    assert min(x["x1"] for x in asked[4:]) < -1.9
-
-
 def test_in_twenty_variables_suggestions_beat_a_latin_hypercube() -> None:
     names = [f"x{j}" for j in range(20)]
     problem = with_changes(variables={name: {"min": -2.0, "max": 2.0} for name in names})
@@ -261,35 +155,6 @@ def test_in_twenty_variables_suggestions_beat_a_latin_hypercube() -> None:
         values = [list(machine(dict(zip(names, row, strict=True))).values()) for row in points]
         hypercubes.append(moocore.hypervolume(np.array(values), ref=[REFERENCE] * 2))
     assert optimizer.hypervolume > 1.2 * max(hypercubes)
-
-
-def test_a_spent_time_budget_still_gives_a_candidate() -> None:
-    optimizer = Optimizer(
-        Problem.from_dict(TOY), seed=1, initial_evaluations=4, suggestion_seconds=1e-9
-    )
-    for x in tune(optimizer, 7):
-        assert all(-2.0 <= value <= 2.0 for value in x.values())
-    assert optimizer.last_source == "model"
-
-
-def test_proximal_biasing_shortens_the_steps() -> None:
-    lengths = []
-    for proximal in (None, 4.0):
-        optimizer = Optimizer(
-            Problem.from_dict(TOY), seed=1, initial_evaluations=5, proximal=proximal
-        )
-        tune(optimizer, 25)
-        steps = np.diff(optimizer.dataset.inputs[5:], axis=0)
-        lengths.append(np.linalg.norm(steps, axis=1).mean())
-    assert lengths[1] < 0.6 * lengths[0]
-
-
-def test_a_truncation_box_confines_the_front() -> None:
-    box = {"reference": 1.5, "truncation": [0.5, 1.5]}
-    optimizer = Optimizer(with_changes(objectives={"f1": box, "f2": {"reference": 4.3}}), seed=2)
-    tune(optimizer, 22)
-    values = np.array([e.values["f1"] for e in optimizer.dataset.evaluations[8:]])
-    assert np.mean((values > 0.4) & (values < 1.5)) > 0.8
 
 
 @pytest.mark.parametrize("acquisition", ["ei", "ucb"])
@@ -396,40 +261,6 @@ def test_a_focus_that_cannot_be_is_refused(keywords: dict[str, Any], sentence: s
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, True, "1"])
-def test_a_seed_that_is_not_a_whole_number_is_refused(seed: Any) -> None:
+def test_a_seed_that_is_not_a_integer_is_refused(seed: Any) -> None:
     with pytest.raises(ProblemError, match="seed is"):
         Optimizer(Problem.from_dict(TOY), seed=seed)
-
-
-def constant(_: Mapping[str, float]) -> dict[str, Any]:
-    return {"f1": 1.0, "f2": 2.0}
-
-
-def huge_outlier(x: Mapping[str, float]) -> dict[str, Any]:
-    return toy(x) | ({"f1": 1e6} if x["x1"] > 1.5 else {})
-
-
-def tiny(x: Mapping[str, float]) -> dict[str, Any]:
-    return {name: 1e-9 * value for name, value in toy(x).items()}
-
-
-def beyond(x: Mapping[str, float]) -> dict[str, Any]:
-    return {name: 1e3 + value for name, value in toy(x).items()}
-
-
-@pytest.mark.parametrize("machine", [constant, huge_outlier, tiny, beyond])
-@pytest.mark.parametrize("preset", ["default", "paper"])
-def test_awkward_machines_get_finite_candidates_inside_the_bounds(
-    machine: Machine, preset: str
-) -> None:
-    optimizer = Optimizer(Problem.from_dict(TOY), preset=preset, seed=1, initial_evaluations=4)
-    for x in tune(optimizer, 9, machine):
-        assert all(-2.0 <= value <= 2.0 for value in x.values())
-    assert math.isfinite(optimizer.hypervolume)
-
-
-def test_the_state_is_plain_json() -> None:
-    optimizer = Optimizer(Problem.from_dict(TOY), initial_evaluations=3, proximal=np.eye(2))
-    tune(optimizer, 5)
-    state = json.loads(json.dumps(optimizer.get_state()))
-    assert Optimizer.from_state(state).ask() == optimizer.ask()

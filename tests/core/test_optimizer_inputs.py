@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 from collections.abc import Callable
@@ -164,42 +163,6 @@ def test_a_focus_of_the_least_radius_can_be_worked_with() -> None:
         setpoint = narrow.ask()
         narrow.tell(setpoint, {"f": setpoint["x"]})
         assert abs(setpoint["x"] - AT["x"]) <= 1e-4
-
-
-def _paths(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    items: list[tuple[Any, Any]] = []
-    if isinstance(value, dict):
-        items = list(value.items())
-    elif isinstance(value, list):
-        items = list(enumerate(value))
-    return [path] * bool(path) + [p for k, v in items for p in _paths(v, (*path, k))]
-
-
-def test_a_damaged_state_is_refused_or_goes_on() -> None:
-    told = optimizer()
-    for _ in range(2):
-        told.tell(told.ask(), {"f": 1.0})
-    whole = json.dumps(told.get_state())
-    refused = 0
-    for path in [p for p in _paths(json.loads(whole)) if "settings" not in p[:-1]]:
-        damages: tuple[Any, ...] = (None, "text", -1, [], {}, 1e300)
-        for damage in damages:
-            state = json.loads(whole)
-            part = state
-            for key in path[:-1]:
-                part = part[key]
-            part[path[-1]] = damage
-            try:
-                restored = Optimizer.from_state(state)
-                assert math.isfinite(restored.ask()["x"]), (path, damage)
-            except ProblemError:
-                refused += 1
-    assert refused > 200
-    with pytest.raises(ProblemError):
-        Optimizer.from_state([])  # type: ignore[arg-type]
-    for part in ({"settings": {**told.settings.to_dict(), "new": 1}}, {"evaluations": [AT]}):
-        with pytest.raises(ProblemError):
-            Optimizer.from_state(json.loads(whole) | part)
 
 
 def test_a_misspelt_output_is_warned_of_once() -> None:

@@ -1,0 +1,212 @@
+"""The definition of a problem as nested mappings, as in a parameter file."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from mobo_tuner.core.quantities import Constraint, Objective, Observable, Variable
+from mobo_tuner.core.values import (
+    LARGEST,
+    ProblemError,
+    as_number,
+    as_string,
+    check_names,
+    describe,
+)
+
+SECTIONS = ("variables", "objectives", "constraints", "observables")
+_FINEST = 1e-12  # least range of a variable, relative to its bounds
+_NAME = re.compile(r"(?!.*__)[A-Za-z][A-Za-z0-9_]*")
+
+
+class Quantities(NamedTuple):
+    """All quantities of a problem, each section in the order of its mapping."""
+
+    variables: tuple[Variable, ...]
+    objectives: tuple[Objective, ...]
+    constraints: tuple[Constraint, ...]
+    observables: tuple[Observable, ...]
+
+
+def read_definition(mapping: Mapping[str, Any]) -> Quantities:
+    """Return the quantities that a mapping defines.
+
+    Args:
+        mapping: Content of a ROS parameter file, or the four sections alone.
+
+    Raises:
+        ProblemError: If a key is unknown or missing, or a value has the wrong type or is not allowed.
+    """
+    parameters = _problem_parameters(mapping)
+    check_names("the problem", parameters, SECTIONS)
+    sections = {name: _section(parameters, name) for name in SECTIONS}
+    for name in ("variables", "objectives"):
+        if not sections[name]:
+            raise ProblemError(f"'{name}' is missing or empty: at least one is needed")
+    return Quantities(
+        variables=tuple(_variable(n, m) for n, m in sections["variables"].items()),
+        objectives=tuple(_objective(n, m) for n, m in sections["objectives"].items()),
+        constraints=tuple(_constraint(n, m) for n, m in sections["constraints"].items()),
+        observables=tuple(_observable(n, m) for n, m in sections["observables"].items()),
+    )
+
+
+def definition_of(quantities: Quantities) -> dict[str, dict[str, dict[str, Any]]]:
+    """Return the mapping from which `read_definition` reads equal quantities."""
+    return {
+        "variables": {
+            v.name: {"min": v.minimum, "max": v.maximum, "unit": v.unit, "cost": v.cost}
+            for v in quantities.variables
+        },
+        "objectives": {
+            o.name: {"direction": o.direction}
+            | ({"reference": o.reference} if math.isfinite(o.reference) else {})
+            | {"unit": o.unit}
+            | ({"truncation": list(o.truncation)} if o.truncation else {})
+            | _invalid_entry(o)
+            for o in quantities.objectives
+        },
+        "constraints": {
+            c.name: {
+                key: value
+                for key, value in (("min", c.minimum), ("max", c.maximum))
+                if math.isfinite(value)
+            }
+            | {"unit": c.unit}
+            | ({"critical": True} if c.critical else {})
+            | _invalid_entry(c)
+            for c in quantities.constraints
+        },
+        "observables": {
+            o.name: {"unit": o.unit} | _invalid_entry(o) for o in quantities.observables
+        },
+    }
+
+
+def _problem_parameters(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The problem's own mapping, out of a ROS parameter file's ``/**`` section where it is one."""
+    if not isinstance(mapping, Mapping):
+        raise ProblemError(f"the problem must be a mapping, not {describe(mapping)}")
+    section = mapping.get("/**")
+    if section is None:
+        return mapping
+    if not isinstance(section, Mapping) or "ros__parameters" not in section:
+        raise ProblemError("the section '/**' must hold 'ros__parameters'")
+    parameters = section["ros__parameters"]
+    if not isinstance(parameters, Mapping):
+        raise ProblemError("'ros__parameters' of the section '/**' must be a mapping")
+    return parameters
+
+
+def _section(parameters: Mapping[str, Any], name: str) -> Mapping[str, Mapping[str, Any]]:
+    section = parameters.get(name)
+    if section is None:
+        return {}
+    if not isinstance(section, Mapping):
+        raise ProblemError(f"'{name}' must be a mapping of names, not {describe(section)}")
+    for key, entry in section.items():
+        if not isinstance(key, str) or not _NAME.fullmatch(key):
+            raise ProblemError(
+                f"'{key}' in '{name}' is no name: letters, digits and single underscores are "
+                "allowed, and a letter comes first"
+            )
+        if entry is not None and not isinstance(entry, Mapping):
+            raise ProblemError(f"'{name}.{key}' must be a mapping, not {describe(entry)}")
+    return {key: entry or {} for key, entry in section.items()}
+
+
+def _variable(name: str, entry: Mapping[str, Any]) -> Variable:
+    where = f"variables.{name}"
+    check_names(where, entry, ("min", "max", "unit", "cost"))
+    low = as_number(f"{where}.min", _required(where, entry, "min"))
+    high = as_number(f"{where}.max", _required(where, entry, "max"))
+    if not low < high:
+        raise ProblemError(f"{where}.min is {low:g}, which must be less than its max of {high:g}")
+    if high - low < max(_FINEST * max(abs(low), abs(high)), 1.0 / LARGEST):
+        raise ProblemError(
+            f"{where}.max is {high!r}, too near to its min of {low!r}: a range of at least "
+            f"{_FINEST:g} of the bounds, and of {1.0 / LARGEST:g}, is allowed"
+        )
+    cost = as_number(f"{where}.cost", entry.get("cost", 1.0))
+    if cost < 0.0:
+        raise ProblemError(f"{where}.cost is {cost:g}, which must not be negative")
+    return Variable(name, low, high, as_string(f"{where}.unit", entry.get("unit", "")), cost)
+
+
+def _objective(name: str, entry: Mapping[str, Any]) -> Objective:
+    where = f"objectives.{name}"
+    check_names(where, entry, ("direction", "reference", "unit", "truncation", "invalid"))
+    direction = entry.get("direction", "minimize")
+    if direction not in ("minimize", "maximize"):
+        raise ProblemError(
+            f"{where}.direction is {direction!r}; 'minimize' and 'maximize' are allowed"
+        )
+    reference = math.inf if direction == "minimize" else -math.inf
+    if entry.get("reference") is not None:
+        reference = as_number(f"{where}.reference", entry["reference"])
+    truncation = None
+    if entry.get("truncation") is not None:
+        truncation = _interval(f"{where}.truncation", entry["truncation"])
+        if math.isinf(reference):
+            raise ProblemError(f"{where}.reference is missing: a truncation box needs one")
+        if not truncation[0] <= reference <= truncation[1]:
+            raise ProblemError(
+                f"{where}.reference is {reference:g}, outside its truncation box "
+                f"[{truncation[0]:g}, {truncation[1]:g}]"
+            )
+    unit = as_string(f"{where}.unit", entry.get("unit", ""))
+    return Objective(name, reference, direction, unit, truncation, _invalid(where, entry))
+
+
+def _constraint(name: str, entry: Mapping[str, Any]) -> Constraint:
+    where = f"constraints.{name}"
+    check_names(where, entry, ("min", "max", "unit", "critical", "invalid"))
+    if "min" not in entry and "max" not in entry:
+        raise ProblemError(f"{where} needs 'min', 'max' or both")
+    low = as_number(f"{where}.min", entry["min"]) if "min" in entry else -math.inf
+    high = as_number(f"{where}.max", entry["max"]) if "max" in entry else math.inf
+    if not low < high:
+        raise ProblemError(f"{where}.min is {low:g}, which must be less than its max of {high:g}")
+    critical = entry.get("critical", False)
+    if not isinstance(critical, bool):
+        raise ProblemError(f"{where}.critical must be true or false, not {describe(critical)}")
+    unit = as_string(f"{where}.unit", entry.get("unit", ""))
+    return Constraint(name, low, high, unit, critical, _invalid(where, entry))
+
+
+def _observable(name: str, entry: Mapping[str, Any]) -> Observable:
+    where = f"observables.{name}"
+    check_names(where, entry, ("unit", "invalid"))
+    unit = as_string(f"{where}.unit", entry.get("unit", ""))
+    return Observable(name, unit, _invalid(where, entry))
+
+
+def _invalid(where: str, entry: Mapping[str, Any]) -> tuple[float, ...]:
+    values = entry.get("invalid")
+    if values is None:
+        return ()
+    if isinstance(values, str) or not isinstance(values, Sequence):
+        raise ProblemError(f"{where}.invalid must be a list of numbers, not {describe(values)}")
+    return tuple(as_number(f"{where}.invalid", value) for value in values)
+
+
+def _invalid_entry(quantity: Objective | Constraint | Observable) -> dict[str, list[float]]:
+    return {"invalid": list(quantity.invalid)} if quantity.invalid else {}
+
+
+def _interval(where: str, value: object) -> tuple[float, float]:
+    if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != 2:
+        raise ProblemError(f"{where} must be two numbers [A, B], not {describe(value)}")
+    low, high = (as_number(where, v) for v in value)
+    if not low < high:
+        raise ProblemError(f"{where} is [{low:g}, {high:g}], upside down: A must be less than B")
+    return low, high
+
+
+def _required(where: str, entry: Mapping[str, Any], key: str) -> object:
+    if entry.get(key) is None:
+        raise ProblemError(f"{where}.{key} is missing")
+    return entry[key]

@@ -1,0 +1,109 @@
+"""Checks of values that users give: numbers, strings and names."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from mobo_tuner.errors import UserError
+
+LARGEST = 1e38
+"""Largest magnitude of a number in a problem. A reading above it is a sentinel, such as the largest
+float of single or double precision, and means that nothing was measured."""
+
+
+class ProblemError(UserError):
+    """A problem, a choice of its optimiser or a value told to it that is not allowed."""
+
+
+def as_float(where: str, value: object) -> float:
+    """Return a number of any type as a float, NaN and infinity included.
+
+    Args:
+        where: Name of the value, for the error.
+        value: Value.
+
+    Raises:
+        ProblemError: If it is not a number: a string, a boolean, an array or a list for instance.
+    """
+    is_scalar = not isinstance(value, np.ndarray) or value.ndim == 0
+    if isinstance(value, str | bytes | bytearray | bool | np.bool_) or not is_scalar:
+        raise ProblemError(f"{where} must be a number, not {describe(value)}")
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        raise ProblemError(f"{where} must be a number, not {describe(value)}") from None
+    except OverflowError:
+        raise ProblemError(f"{where} must be a finite number, not {describe(value)}") from None
+
+
+def as_number(where: str, value: object) -> float:
+    """Return a finite number of at most `LARGEST` in magnitude as a float.
+
+    Args:
+        where: Name of the value, for the error.
+        value: Value.
+
+    Raises:
+        ProblemError: If it is not such a number.
+    """
+    number = as_float(where, value)
+    if not math.isfinite(number):
+        raise ProblemError(f"{where} must be a finite number, not {number}")
+    if abs(number) > LARGEST:
+        raise ProblemError(f"{where} is {number:g}; at most {LARGEST:g} in magnitude is allowed")
+    return number
+
+
+def as_string(where: str, value: object) -> str:
+    """Return a string; None becomes an empty one.
+
+    Args:
+        where: Name of the value, for the error.
+        value: Value.
+
+    Raises:
+        ProblemError: If it is neither.
+    """
+    if value is None:
+        return ""
+    if not isinstance(value, str):
+        raise ProblemError(f"{where} must be text, not {describe(value)}")
+    return value
+
+
+def check_names(where: str, entry: Mapping[str, object], allowed: Sequence[str]) -> None:
+    """Check that a mapping has no other names than the allowed ones.
+
+    Args:
+        where: Name of the mapping, for the error.
+        entry: Mapping.
+        allowed: Names that are allowed.
+
+    Raises:
+        ProblemError: If a name is unknown.
+    """
+    for key in entry:
+        if key not in allowed:
+            raise ProblemError(f"'{key}' is unknown in {where}; allowed are {listed(allowed)}")
+
+
+def describe(value: object) -> str:
+    """Return kind and beginning of a value, for an error."""
+    if isinstance(value, str):
+        return f"the text {value[:40]!r}"
+    if value is None:
+        return "empty"
+    kinds = {bool: "a truth value", list: "a list", dict: "a mapping"}
+    kind = kinds.get(type(value), "the value")
+    try:
+        return f"{kind} ({str(value)[:40]})"
+    except ValueError:  # Python writes no integer of more than 4300 digits
+        return f"{kind} of more than 4300 digits"
+
+
+def listed(names: Iterable[str]) -> str:
+    """Return names separated by commas, for an error."""
+    return ", ".join(names)

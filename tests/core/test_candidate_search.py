@@ -1,0 +1,114 @@
+"""Where the next candidate is searched for: feasible, valid, near, inside a box, and in time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mobo_tuner.core import Optimizer, Problem
+from tests.core.toy_runs import TOY, Machine, toy, tune, with_changes
+
+
+def test_feasibility_is_sought_before_anything_else() -> None:
+    def machine(x: Mapping[str, float]) -> dict[str, Any]:
+        return toy(x) | {"g": math.hypot(x["x1"] - 1.6, x["x2"] + 1.7)}
+
+    optimizer = Optimizer(with_changes(constraints={"g": {"max": 0.15}}), seed=3)
+    tune(optimizer, 25, machine)
+    feasible = optimizer.dataset.feasible
+    assert not feasible[: optimizer.initial_evaluations].any()
+    assert feasible.any()
+
+
+def test_failed_evaluations_earn_nothing_and_are_not_repeated() -> None:
+    def machine(x: Mapping[str, float]) -> dict[str, Any]:
+        return toy(x) if x["x1"] < 0.3 else {"f1": math.nan}
+
+    optimizer = Optimizer(Problem.from_dict(TOY), seed=1, initial_evaluations=6)
+    tune(optimizer, 22, machine)
+    failed = {e.index for e in optimizer.dataset.evaluations if not e.valid}
+    assert failed
+    assert failed.isdisjoint(p["index"] for p in optimizer.pareto_front())
+    inputs = optimizer.dataset.inputs
+    for i in failed:
+        later = np.abs(inputs[i + 1 :] - inputs[i]).max(axis=1)
+        assert (later > 0.02).all()
+
+
+def test_when_everything_fails_it_explores() -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY), initial_evaluations=3)
+    asked = tune(optimizer, 8, lambda _: {})
+    points = np.array([list(x.values()) for x in asked])
+    distances = np.linalg.norm(points[:, None] - points, axis=2) + 10.0 * np.eye(len(points))
+    assert distances.min() > 0.5
+    assert optimizer.pareto_front() == []
+    assert optimizer.hypervolume == 0.0
+
+
+def test_when_nothing_is_feasible_it_goes_on_asking() -> None:
+    optimizer = Optimizer(with_changes(constraints={"g": {"max": -9.0}}), initial_evaluations=4)
+    asked = tune(optimizer, 9)
+    assert optimizer.pareto_front() == []
+    assert optimizer.hypervolume == 0.0
+    # g = x1 is least at the lower bound, where the constraint comes nearest to being met.
+    assert min(x["x1"] for x in asked[4:]) < -1.9
+
+
+def test_a_spent_time_budget_still_gives_a_candidate() -> None:
+    optimizer = Optimizer(
+        Problem.from_dict(TOY), seed=1, initial_evaluations=4, suggestion_seconds=1e-9
+    )
+    for x in tune(optimizer, 7):
+        assert all(-2.0 <= value <= 2.0 for value in x.values())
+    assert optimizer.last_source == "model"
+
+
+def test_proximal_biasing_shortens_the_steps() -> None:
+    lengths = []
+    for proximal in (None, 4.0):
+        optimizer = Optimizer(
+            Problem.from_dict(TOY), seed=1, initial_evaluations=5, proximal=proximal
+        )
+        tune(optimizer, 25)
+        steps = np.diff(optimizer.dataset.inputs[5:], axis=0)
+        lengths.append(np.linalg.norm(steps, axis=1).mean())
+    assert lengths[1] < 0.6 * lengths[0]
+
+
+def test_a_truncation_box_confines_the_front() -> None:
+    box = {"reference": 1.5, "truncation": [0.5, 1.5]}
+    optimizer = Optimizer(with_changes(objectives={"f1": box, "f2": {"reference": 4.3}}), seed=2)
+    tune(optimizer, 22)
+    values = np.array([e.values["f1"] for e in optimizer.dataset.evaluations[8:]])
+    assert np.mean((values > 0.4) & (values < 1.5)) > 0.8
+
+
+def constant(_: Mapping[str, float]) -> dict[str, Any]:
+    return {"f1": 1.0, "f2": 2.0}
+
+
+def huge_outlier(x: Mapping[str, float]) -> dict[str, Any]:
+    return toy(x) | ({"f1": 1e6} if x["x1"] > 1.5 else {})
+
+
+def tiny(x: Mapping[str, float]) -> dict[str, Any]:
+    return {name: 1e-9 * value for name, value in toy(x).items()}
+
+
+def beyond(x: Mapping[str, float]) -> dict[str, Any]:
+    return {name: 1e3 + value for name, value in toy(x).items()}
+
+
+@pytest.mark.parametrize("machine", [constant, huge_outlier, tiny, beyond])
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_awkward_machines_get_finite_candidates_inside_the_bounds(
+    machine: Machine, preset: str
+) -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY), preset=preset, seed=1, initial_evaluations=4)
+    for x in tune(optimizer, 9, machine):
+        assert all(-2.0 <= value <= 2.0 for value in x.values())
+    assert math.isfinite(optimizer.hypervolume)

@@ -1,0 +1,97 @@
+"""The definition of a problem: what is accepted, and what is refused with one sentence."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from mobo_tuner.core.problem import Problem, ProblemError
+from mobo_tuner.errors import FileError
+from mobo_tuner.files import load_yaml
+from tests.core.problem_mapping import MAPPING, changed
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "sentence"),
+    [
+        ("variabels", {}, "'variabels' is unknown"),
+        ("variables", ..., "'variables' is missing or empty"),
+        ("objectives", {}, "'objectives' is missing or empty"),
+        ("objectives", [1], "'objectives' must be a mapping"),
+        ("variables.K1", 3, "'variables.K1' must be a mapping"),
+        ("variables.K1.step", 3, "'step' is unknown in variables.K1"),
+        ("variables.K1.min", ..., "variables.K1.min is missing"),
+        ("variables.K1.min", "low", "variables.K1.min must be a number, not the text 'low'"),
+        ("variables.K1.min", True, "variables.K1.min must be a number, not a truth value"),
+        ("variables.K1.min", math.nan, "variables.K1.min must be a finite number"),
+        ("variables.K1.max", 10**400, "variables.K1.max must be a finite number"),
+        ("variables.K1.min", 550, "variables.K1.min is 550, which must be less than its max"),
+        (
+            "constraints.dE.critical",
+            "yes",
+            "constraints.dE.critical must be true or false, not the",
+        ),
+        ("variables.K1.cost", -1, "variables.K1.cost is -1"),
+        ("variables.K1.unit", 7, "variables.K1.unit must be text"),
+        ("variables.K 1", {"min": 0, "max": 1}, "'K 1' in 'variables' is no name"),
+        ("variables.K__1", {"min": 0, "max": 1}, "'K__1' in 'variables' is no name"),
+        ("variables.eps_x", {"min": 0, "max": 1}, "'eps_x' is a variable and an objective"),
+        ("objectives.energy.reference", ..., "objectives.energy.reference is missing"),
+        ("objectives.eps_x.direction", "down", "'minimize' and 'maximize' are allowed"),
+        ("objectives.energy.reference", 9.0, "outside its truncation box \\[10, 20\\]"),
+        ("objectives.energy.truncation", [20, 10], "upside down"),
+        ("objectives.energy.truncation", [1, 2, 3], "must be two numbers"),
+        ("objectives.energy.truncation", "ab", "must be two numbers"),
+        ("constraints.dE", {}, "constraints.dE needs 'min', 'max' or both"),
+        ("constraints.transmission.min", 1.2, "must be less than its max"),
+        ("observables.charge.min", 1, "'min' is unknown in observables.charge"),
+    ],
+)
+def test_a_bad_problem_is_refused_in_one_sentence(path: str, value: Any, sentence: str) -> None:
+    with pytest.raises(ProblemError, match=sentence) as error:
+        Problem.from_dict(changed(path, value))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("a: [1", "is not valid YAML in line"),
+        ("variables: {K1: {min: 1, max: 2}, K1: {min: 0, max: 1}}", "'K1' stands twice"),
+        ("- 1", "must hold a mapping"),
+        ("", "must hold a mapping"),
+        ("/**: 3", "must hold 'ros__parameters'"),
+        ("/**: {ros__parameters: 3}", "must be a mapping"),
+        ("a: !!python/object/apply:os.getcwd []", "is not valid YAML"),
+    ],
+)
+def test_a_bad_file_is_refused_in_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    with pytest.raises(ProblemError, match=sentence):
+        Problem.from_yaml(path)
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="absent\\.yaml' cannot be read: No such file"):
+        load_yaml(tmp_path / "absent.yaml")
+    with pytest.raises(ProblemError, match="absent\\.yaml' cannot be read: No such file"):
+        Problem.from_yaml(tmp_path / "absent.yaml")
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00\xd8")
+    with pytest.raises(FileError, match="not UTF-8"):
+        load_yaml(tmp_path / "binary.yaml")
+
+
+def test_a_ros_parameter_file_and_the_bare_mapping_give_the_same(tmp_path: Path) -> None:
+    (tmp_path / "ros.yaml").write_text(
+        yaml.safe_dump(
+            {"/**": {"ros__parameters": MAPPING}, "tuner": {"ros__parameters": {}}}, sort_keys=False
+        )
+    )
+    (tmp_path / "bare.yaml").write_text(yaml.safe_dump(MAPPING, sort_keys=False))
+    ros = Problem.from_yaml(tmp_path / "ros.yaml")
+    assert ros == Problem.from_yaml(str(tmp_path / "bare.yaml")) == Problem.from_dict(MAPPING)
