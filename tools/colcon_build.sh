@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Builds the three packages with colcon, as on a full ROS installation, and starts the tuner from what
-# comes out. ROS comes from the same wheels as in .venv, in a virtual environment that is made for the
+# Builds the three packages with colcon, as on a full ROS installation, runs the tests of each with
+# `colcon test`, and starts the tuner from what was built. ROS comes from the same wheels as in .venv, in a virtual environment that is made for the
 # purpose and removed afterwards, as is all else.
 set -euo pipefail
 
@@ -34,14 +34,24 @@ cp -r "$root/src" "$work/workspace"
 cd "$work/workspace"
 export CMAKE_PREFIX_PATH=$VIRTUAL_ENV AMENT_PREFIX_PATH=$VIRTUAL_ENV
 colcon build --base-paths src --event-handlers console_cohesion+ --cmake-args \
-  -DBUILD_TESTING=OFF -DPython3_EXECUTABLE="$VIRTUAL_ENV/bin/python" \
+  -DBUILD_TESTING=ON -DPython3_EXECUTABLE="$VIRTUAL_ENV/bin/python" \
   -DCMAKE_PROJECT_INCLUDE=cmake/pip_ros.cmake > "$work/build.log" 2>&1 ||
   { tail -n 50 "$work/build.log"; exit 1; }
 
-echo "colcon: starting the tuner"
 set +u
 source install/setup.bash
 set -u
+
+echo "colcon: testing"
+colcon test --base-paths src --event-handlers console_direct+ --return-code-on-test-failure \
+  > "$work/test.log" 2>&1 || { tail -n 50 "$work/test.log"; exit 1; }
+for package in "$work"/workspace/src/*/; do # each has tests, and none was left out
+  colcon test-result --test-result-base "build/$(basename "$package")" |
+    grep -qE '^Summary: [1-9][0-9]* tests, 0 errors, 0 failures, 0 skipped$' ||
+    { echo "colcon: $(basename "$package") has no tests, or not all of them ran"; exit 1; }
+done
+
+echo "colcon: starting the tuner"
 PYTHONPATH=$PYTHONPATH:$root ROS_LOG_DIR=$work/log timeout 120 python - <<'PYTHON'
 import os
 import signal
