@@ -48,7 +48,12 @@ setup(
     package_data={NAME: ["py.typed", "runs/report/templates/*"]},
     data_files=data_files,
     entry_points={
-        "console_scripts": [f"{name} = {NAME}.nodes.{name}:main" for name in EXECUTABLES]
+        "console_scripts": [f"{name} = {NAME}.nodes.{name}:main" for name in EXECUTABLES],
+        "ros2doctor.checks": [
+            f"mobo_machine = {NAME}.ros.doctor:MachineCheck",
+            f"mobo_tuner = {NAME}.ros.doctor:TunerCheck",
+        ],
+        "ros2doctor.report": [f"mobo_tuner = {NAME}.ros.doctor:TunerReport"],
     },
     zip_safe=False,
 )

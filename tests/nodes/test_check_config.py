@@ -141,6 +141,25 @@ def test_a_problem_must_fit_the_machine_of_a_bridge(
         check(written(foreign, tmp_path / "bad.yaml"))
 
 
+def test_the_problem_translated_from_xopt_means_the_same(tmp_path: Path) -> None:
+    text = (CONFIG.parent / "docs" / "from_badger_or_xopt.md").read_text(encoding="utf-8")
+    vocs = yaml.safe_load("vocs:" + text.split("```\nvocs:")[1].split("```")[0])
+    path = tmp_path / "translated.yaml"
+    path.write_text(text.split("```yaml\n")[1].split("```")[0], encoding="utf-8")
+    configuration = check(path)
+    problem = configuration.problem
+    bounds = {v.name: [v.minimum, v.maximum] for v in problem.variables}
+    assert bounds == vocs["vocs"]["variables"]
+    directions = {o.name: o.direction.upper() for o in problem.objectives}
+    assert directions == vocs["vocs"]["objectives"]
+    references = {o.name: o.reference for o in problem.objectives}
+    assert references == vocs["generator"]["reference_point"]
+    limits = {c.name: ["LESS_THAN", c.maximum] for c in problem.constraints}
+    assert limits == vocs["vocs"]["constraints"]
+    assert [o.name for o in problem.observables] == vocs["vocs"]["observables"]
+    assert configuration.tuner["evaluations"] == vocs["max_evaluations"]
+
+
 def test_two_machines_are_refused(foreign: dict[str, Any], tmp_path: Path) -> None:
     file = written(foreign, tmp_path / "file.yaml")
     with pytest.raises(UserError, match=r"'machine_bridge'.*'python mine.py' of --machine"):

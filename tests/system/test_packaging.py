@@ -135,6 +135,7 @@ EXTRA_OF = {
         "runs/export.py": ["tuner", "export"],
         "runs/report": ["report"],
         "displays": ["console"],
+        "nodes/bags.py": ["recorder"],
         "nodes/recorder.py": ["recorder"],
         "warmup.py": ["tuner"],
     },
@@ -152,6 +153,7 @@ OF_ROS = {
     "mobo_msgs_py",
     "rcl_interfaces",
     "rclpy",
+    "rosbag2_py",
     "rosgraph_msgs",
     "rosidl_parser",
     "sensor_msgs",
@@ -222,7 +224,8 @@ def test_every_import_is_declared_for_pip_and_for_ros(
             assert known or WITHOUT_KEY.get(name, "nowhere") in readme, (file, name)
     assert set().union(*for_pip.values()) <= used, "setup.py declares what nothing imports"
     keys = {ROSDEP.get(name, name) for name in used}
-    launched = {"launch_ros", "launch_xml"}  # by the files in launch/, which import nothing
+    # By the files in launch/, which import nothing, and by rosbag2_py.
+    launched = {"launch_ros", "launch_xml", "rosbag2_storage_mcap"}
     assert {name for name in for_ros if name} - launched <= keys, (
         "package.xml declares what nothing imports"
     )
@@ -305,6 +308,10 @@ def test_each_node_starts_with_its_own_extra(
     for_pip = declared(wheels["mobo_tuner"], "mobo_tuner")
     given = set().union(*(for_pip[extra] for extra in extras))
     run_without(OPTIONAL - given, f"import mobo_tuner.nodes.{node}")
+
+
+def test_the_recorder_needs_no_rosbags_where_ros_has_rosbag2_py() -> None:
+    run_without(OPTIONAL, "import mobo_tuner.nodes.recorder")
 
 
 @pytest.mark.parametrize("package", [*EXECUTABLES, "mobo_msgs_py"])

@@ -21,26 +21,16 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.task import Future
 from rclpy.timer import Timer
 from rclpy.topic_endpoint_info import TopicEndpointInfo
-from rosbags.interfaces import (
-    Connection,
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
-from rosbags.rosbag2 import WriterError
 from std_msgs.msg import Header
 
 from mobo_msgs_py.msg import RecorderStatus
+from mobo_tuner.nodes.bags import Bag, open_bag
 from mobo_tuner.nodes.parameters import RECORDER
 from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from mobo_tuner.ros.parameters import declare, refuse_undeclared, take_given
 from mobo_tuner.ros.process import Program, StartError, exit_process, run_node
 from mobo_tuner.ros.waiting import STEADY_CLOCK
-from mobo_tuner.runs.bag import BagWriter
 from mobo_tuner.runs.definitions import Definition, DefinitionError, find_definition
 
 QUEUE_DEPTH = 1000  # messages of a topic that may wait to be recorded
@@ -156,22 +146,16 @@ class Recorder:
         except DefinitionError as error:
             self._refuse(topic, str(error))
             return
-        offered = []
-        for publisher in publishers:
-            profile = _offered_qos(publisher.qos_profile)
-            if profile not in offered:
-                offered.append(profile)
-        connection = self._bag.add_connection(
-            topic,
-            type_name,
-            msgdef=definition.text,
-            rihs01=definition.type_hash,
-            offered_qos_profiles=offered,
-        )
+        offers = [publisher.qos_profile for publisher in publishers]
+        try:
+            recorded = self._bag.add_topic(topic, type_name, definition, offers)
+        except OSError as error:
+            self._fail(error)
+            return
         self._node.create_subscription(
             message_class,
             topic,
-            partial(self._write, connection),
+            partial(self._write, recorded),
             _matching_qos(publishers),
             raw=True,
         )
@@ -181,13 +165,13 @@ class Recorder:
         self._refused[topic] = reason
         self._node.get_logger().warning(f"the topic {topic} is not recorded: {reason}")
 
-    def _write(self, connection: Connection, data: bytes, info: dict[str, int]) -> None:
+    def _write(self, topic: Any, data: bytes, info: dict[str, int]) -> None:
         if not self._recording:
             return
         # The bag needs ordered timestamps, but the messages of several topics arrive interleaved.
         self._last_timestamp = max(self._last_timestamp, info["received_timestamp"])
         try:
-            self._bag.write(connection, self._last_timestamp, data)
+            self._bag.write(topic, self._last_timestamp, data)
         except OSError as error:
             self._fail(error)
 
@@ -254,7 +238,7 @@ class Recorder:
         return done
 
 
-def _open_bag(path: str) -> BagWriter:
+def _open_bag(path: str) -> Bag:
     """Open a new bag.
 
     Raises:
@@ -263,13 +247,11 @@ def _open_bag(path: str) -> BagWriter:
     if not path:
         raise StartError("the parameter bag_path is empty; it must name the bag's folder")
     try:
-        bag = BagWriter(path)
-        bag.open()
-    except WriterError:
+        return open_bag(path)
+    except FileExistsError:
         raise StartError(f"the bag '{path}' exists already") from None
     except OSError as error:
-        raise StartError(f"the bag '{path}' cannot be written: {error.strerror}") from None
-    return bag
+        raise StartError(f"the bag '{path}' cannot be written: {error.strerror or error}") from None
 
 
 def _message_class(type_name: str) -> type[Any]:
@@ -307,25 +289,6 @@ def _matching_qos(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
-
-
-def _offered_qos(profile: QoSProfile) -> Qos:
-    """Return a publisher's profile for the bag; discovery provides neither history nor depth."""
-    return Qos(
-        history=QosHistory[profile.history.name],
-        depth=profile.depth,
-        reliability=QosReliability[profile.reliability.name],
-        durability=QosDurability[profile.durability.name],
-        deadline=_qos_time(profile.deadline),
-        lifespan=_qos_time(profile.lifespan),
-        liveliness=QosLiveliness[profile.liveliness.name],
-        liveliness_lease_duration=_qos_time(profile.liveliness_lease_duration),
-        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
-    )
-
-
-def _qos_time(duration: Duration) -> QosTime:
-    return QosTime(*divmod(duration.nanoseconds, 1_000_000_000))
 
 
 def main() -> None:

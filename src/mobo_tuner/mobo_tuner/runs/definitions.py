@@ -14,9 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rosbags.interfaces import Nodetype
-from rosbags.typesys import get_types_from_msg
-
 MAX_TEXT = 1 << 17  # characters of a definition that is parsed
 
 
@@ -85,6 +82,8 @@ def same_fields(type_name: str, text: str, other: str) -> bool:
 
 def _fields(type_name: str, text: str) -> dict[str, list[Any]]:
     """Return the fields of a type and of all types in it."""
+    from rosbags.typesys import get_types_from_msg  # a recorder does not need it
+
     types = get_types_from_msg(text, type_name)
     found: dict[str, list[Any]] = {}
     waiting = [type_name]
@@ -98,6 +97,8 @@ def _fields(type_name: str, text: str) -> dict[str, list[Any]]:
 
 def _names(kind: Any) -> list[str]:
     """Return the name of a field's type if it is a message."""
+    from rosbags.interfaces import Nodetype
+
     node, content = kind
     if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
         return _names(content[0])
