@@ -51,6 +51,8 @@ def explained(problem: dict[str, Any] = PROBLEM, **changes: Any) -> str:
         ("temperature [K]",),
         ("preset default", "ehvi"),
         ("60 evaluations",),
+        ("ends early", "never"),
+        ("on_end: hold",),
         ("on_abort: hold",),
         ("on_violation: hold",),
         ("12 min", "12 s"),  # 60 evaluations of 12 s
@@ -64,6 +66,34 @@ def test_the_ends_and_the_budget_are_those_of_the_tuner() -> None:
     text = explained(tuner={"on_abort": "best", "evaluations": 7, "initial_evaluations": 3})
     assert "on_abort: best" in text
     assert "7 evaluations, the first 3" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("hypervolume_goal", 3.5, "hypervolume of 3.5"),
+        ("stop_after", 300.0, "5 min"),
+        ("stop_without_gain", 7, "7 evaluations"),
+        ("stop_below_expected_gain", 0.5, "0.5 %"),
+    ],
+)
+def test_what_ends_a_run_early_is_told(name: str, value: float, words: str) -> None:
+    [line] = [line for line in explained(tuner={name: value}).splitlines() if "ends early" in line]
+    assert words in line
+
+
+def test_a_run_takes_no_longer_than_its_time() -> None:
+    [line] = [
+        line for line in explained(tuner={"stop_after": 120.0}).splitlines() if line[2:6] == "time"
+    ]
+    assert "2 min" in line
+    assert "10 evaluations" in line
+
+
+@pytest.mark.parametrize("event", ["on_end", "on_abort", "on_violation", "on_client_lost"])
+@pytest.mark.parametrize("policy", ["hold", "restore", "restore_anyway", "best"])
+def test_every_fallback_is_explained(event: str, policy: str) -> None:
+    assert f"({event}: {policy})" in explained(tuner={event: policy})
 
 
 def test_only_a_critical_constraint_can_be_violated() -> None:

@@ -24,6 +24,7 @@ CONFIG = Path(__file__).parents[2] / "config"
 SHIPPED = {
     "awa.yaml": "awa_sim",
     "toy.yaml": "awa_sim",
+    "shift.yaml": "awa_sim",
     "foreign.yaml": "machine_bridge",
     "my_machine.yaml": "",
 }

@@ -162,7 +162,7 @@ class TunerClient:
 
         Args:
             evaluations: Budget; 0 = that of the resumed run, or else the tuner's parameter.
-            hypervolume_goal: Hypervolume at which the run ends; 0 = none.
+            hypervolume_goal: Hypervolume at which the run ends; 0 = the tuner's parameter.
             run_id: Id of the run; empty = the time.
             resume_from: Id of the run to resume; empty = none.
             on_evaluation: Function that receives every evaluation once, also those of the resumed run.

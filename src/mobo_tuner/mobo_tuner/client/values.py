@@ -153,7 +153,8 @@ class RunResult:
         run_id: Id of the run.
         front: Pareto front at the end.
         evaluations: Number of finished evaluations.
-        stop_reason: "budget", "hypervolume_goal", "stopped", "canceled" or "error".
+        stop_reason: "budget", "hypervolume_goal", "time", "stagnation", "little_expected", "stopped",
+            "canceled" or "error".
         error: Error that ended the run; None if it succeeded.
     """
 

@@ -13,9 +13,11 @@ from mobo_tuner.machine.description import MachineDescription
 _FALLBACKS = {
     "hold": "holds where it is",
     "restore": "goes back to where it was before the run",
+    "restore_anyway": "goes back to where it was before the run, also outside the bounds",
     "best": "goes to the best point found",
 }
 _EVENTS = {
+    "on_end": "after a run that ends well",
     "on_abort": "after a cancel or an error",
     "on_violation": "after a shot beyond a critical limit",
     "on_client_lost": "if the tuner is lost",
@@ -57,6 +59,7 @@ def explanation(configuration: Configuration) -> list[str]:
     lines += _entry("observables", [observables or "none"])
     lines += _entry("method", [_method(configuration.tuner)])
     lines += _entry("budget", [_budget(configuration.tuner)])
+    lines += _entry("ends early", _stops(configuration.tuner) or ["never"])
     lines += _entry("at the end", _ends(configuration))
     lines += _entry("time", [_time(configuration)])
     return lines
@@ -111,9 +114,24 @@ def _budget(tuner: Mapping[str, Any]) -> str:
     )
 
 
+def _stops(tuner: Mapping[str, Any]) -> list[str]:
+    lines = []
+    if tuner["hypervolume_goal"]:
+        lines.append(f"at a hypervolume of {tuner['hypervolume_goal']:g}")
+    if tuner["stop_after"]:
+        lines.append(f"after {_duration(tuner['stop_after'])}")
+    if tuner["stop_without_gain"]:
+        lines.append(f"after {tuner['stop_without_gain']} evaluations without a gain")
+    if tuner["stop_below_expected_gain"]:
+        lines.append(
+            f"when less than {tuner['stop_below_expected_gain']:g} % is expected of the next evaluation"
+        )
+    return lines
+
+
 def _ends(configuration: Configuration) -> list[str]:
     tuner, problem = configuration.tuner, configuration.problem
-    lines = ["a run that ends well leaves the machine at its last set-point"]
+    lines = []
     for event, when in _EVENTS.items():
         if event == "on_violation" and not any(c.critical for c in problem.constraints):
             continue
@@ -128,9 +146,14 @@ def _time(configuration: Configuration) -> str:
     if machine is None or machine.evaluation_seconds is None:
         return "not known before the run begins"
     each = machine.evaluation_seconds
-    budget = int(configuration.tuner["evaluations"])
+    whole, limit = configuration.tuner["evaluations"] * each, configuration.tuner["stop_after"]
+    if 0.0 < limit < whole:
+        return (
+            f"{_duration(limit)}, enough for about {limit // each:.0f} evaluations of "
+            f"{_duration(each)} less the time of the suggestions"
+        )
     return (
-        f"about {_duration(budget * each)} at the machine, {_duration(each)} per evaluation; "
+        f"about {_duration(whole)} at the machine, {_duration(each)} per evaluation; "
         "the time of the suggestions comes on top"
     )
 

@@ -156,6 +156,9 @@ class StopReason(StrEnum):
 
     BUDGET = "budget"
     HYPERVOLUME_GOAL = "hypervolume_goal"
+    TIME = "time"
+    STAGNATION = "stagnation"
+    LITTLE_EXPECTED = "little_expected"
     STOPPED = "stopped"
     CANCELED = "canceled"
     ERROR = "error"

@@ -39,6 +39,38 @@ TUNER = (
         writable=True,
     ),
     ParameterSpec(
+        "hypervolume_goal",
+        0.0,
+        "Hypervolume at which a run ends whose goal names none; 0 = none.",
+        minimum=0.0,
+    ),
+    ParameterSpec(
+        "stop_after",
+        0.0,
+        "Time from the start of a run after which it makes no further evaluation [s]; 0 = no limit.",
+        minimum=0.0,
+        maximum=31_536_000.0,
+        writable=True,
+    ),
+    ParameterSpec(
+        "stop_without_gain",
+        0,
+        "Measured evaluations after the initial design that end a run if none of them raises the "
+        "hypervolume by more than 0.1 %; 0 = never.",
+        minimum=0,
+        maximum=100_000,
+        writable=True,
+    ),
+    ParameterSpec(
+        "stop_below_expected_gain",
+        0.0,
+        "Gain of hypervolume that the models expect of the next evaluation [%]: a run ends if three "
+        "suggestions in a row promise less; 0 = never.",
+        minimum=0.0,
+        maximum=100.0,
+        writable=True,
+    ),
+    ParameterSpec(
         "model_input",
         "setpoint",
         "Values of the variables from which the models learn: set-points or readbacks.",
@@ -145,6 +177,13 @@ TUNER = (
         choices=("continue", "pause"),
     ),
     ParameterSpec(
+        "on_end",
+        "hold",
+        "Where the tuner sends the machine after a run that reached what it was asked for, or that an "
+        "operator stopped.",
+        choices=_FALLBACKS,
+    ),
+    ParameterSpec(
         "on_abort",
         "hold",
         "Where the tuner sends the machine after a cancel, a stop or an error.",
@@ -234,6 +273,10 @@ class TunerParameters:
 
     values: dict[str, Any]
     evaluations: int
+    hypervolume_goal: float
+    stop_after: float
+    stop_without_gain: int
+    stop_below_expected_gain: float
     model_input: str
     shots: int
     runs_dir: str
@@ -251,6 +294,7 @@ class TunerParameters:
     on_fault: str
     machine_return_timeout: float
     on_recorder_lost: str
+    on_end: str
     on_abort: str
     on_violation: str
     on_client_lost: str

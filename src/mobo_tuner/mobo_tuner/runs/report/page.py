@@ -26,6 +26,9 @@ _SHOWN_INDICES = 12
 _PLAIN = {
     StopReason.BUDGET: "it made all the evaluations that were asked for",
     StopReason.HYPERVOLUME_GOAL: "it reached its hypervolume goal",
+    StopReason.TIME: "its time was over",
+    StopReason.STAGNATION: "its last evaluations gained next to nothing",
+    StopReason.LITTLE_EXPECTED: "the next evaluation was expected to gain next to nothing",
     StopReason.STOPPED: "it was stopped",
     StopReason.CANCELED: "it was cancelled",
     StopReason.ERROR: "an error ended it",

@@ -1,8 +1,11 @@
-"""Where the machine goes when a run does not end well: nowhere, back, or to the best point."""
+"""Where the machine goes at the end of a run and in trouble: nowhere, back, or to the best point."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
+
+from rclpy.task import Future
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
@@ -14,15 +17,16 @@ from mobo_tuner.tuner.parameters import TunerParameters
 from mobo_tuner.tuner.run.run import Run, RunError
 
 RESTORE, RESTORE_ANYWAY, BEST = "restore", "restore_anyway", "best"
-EVENTS = ("on_abort", "on_violation", "on_client_lost")
+EVENTS = ("on_end", "on_abort", "on_violation", "on_client_lost")
 SEND_OFF_TIMEOUT = 1.2  # [s] for the machine to accept a move while this process is stopping
 
 
 class Fallbacks:
-    """The policies `on_abort`, `on_violation` and `on_client_lost`: hold, restore or best.
+    """The policies `on_end`, `on_abort`, `on_violation` and `on_client_lost`: hold, restore or best.
 
     The last two are sent to the machine with every evaluation, because it must act when nobody else
-    can. `on_abort` is the tuner's own: after a cancel, a stop or an error it sends the machine there.
+    can. The tuner itself sends the machine where `on_end` says after a run that ended well, and where
+    `on_abort` says after a cancel, an error or a stop of its process.
     None leads across the problem's bounds but `restore_anyway`.
     """
 
@@ -76,29 +80,29 @@ class Fallbacks:
         """Return where the machine goes at an event; None if it holds."""
         return fallback_target(self._policy(event), run, self._context.gate)
 
-    async def act(self, run: Run) -> str:
-        """Do what `on_abort` says for a run that did not end well.
+    async def act(self, run: Run, event: str, *interrupts: Future) -> str:
+        """Do what `on_end` or `on_abort` says for a run that is over.
 
         The machine must not be lost. While this process is ending, the machine finishes the move by
-        itself; a request to skip stops it where it is.
+        itself; a request to skip and the interrupts stop it where it is.
 
         Returns:
             What was done, in a few words; empty if nothing had to be done.
         """
         if run.machine is None:
             return ""
-        policy = self._policy("on_abort")
-        target = self.target(run, "on_abort")
+        policy = self._policy(event)
+        target = self.target(run, event)
         if target is None:
             trouble = blocked_restore(policy, run, self._context.gate)
             return f"the machine holds: {trouble}" if trouble else ""
         what = "the best point" if policy == BEST else "the state before the run"
         try:
-            return await self._go(target, run, what)
+            return await self._go(target, run, what, interrupts)
         except BoundsError as error:
             return f"the machine holds: {what} is out of bounds: {error}"
 
-    async def _go(self, target: Target, run: Run, what: str) -> str:
+    async def _go(self, target: Target, run: Run, what: str, interrupts: Sequence[Future]) -> str:
         """Go to a target and return what came of it, in a few words.
 
         Raises:
@@ -118,12 +122,17 @@ class Fallbacks:
 
         try:
             answer = await context.gate.move(
-                target, units, on_feedback, run.steering.skip, leave=context.stopping
+                target,
+                units,
+                on_feedback,
+                run.steering.skip,
+                *interrupts,
+                leave=context.stopping,
             )
         except MachineLostError as error:
             return f"the machine did not go to {what}: {error}"
         if answer.error_code == EvaluateSetpoint.Result.CANCELED:
-            if run.steering.skip.done():
+            if run.steering.skip.done() or any(interrupt.done() for interrupt in interrupts):
                 return f"the machine was stopped on its way to {what}"
             if context.stopping.done():
                 return by_itself

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Literal, NamedTuple
 
 from rclpy.duration import Duration
@@ -12,7 +13,7 @@ from rclpy.task import Future
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_tuner.core import ProblemError
-from mobo_tuner.ros.waiting import first_of, until
+from mobo_tuner.ros.waiting import STEADY_CLOCK, first_of, until
 from mobo_tuner.runs.records import EndRecord, EvaluationRecord, StopReason
 from mobo_tuner.tuner.context import TunerContext, describe
 from mobo_tuner.tuner.gate import BoundsError, Gate, Target, check_bounds
@@ -26,6 +27,7 @@ from mobo_tuner.tuner.run.run import Run, RunError, Suggestion
 from mobo_tuner.tuner.session import Session
 
 CHUNK = 20  # evaluations of an earlier run that are published before the next wait
+TIME_PERIOD = 1.0  # [s] between two looks at the time of a run
 ACKNOWLEDGE_TIMEOUT = 2.0  # [s] for the subscribers to receive a chunk
 _AT_ONCE = Duration(nanoseconds=1)
 _CODES = Tune.Result
@@ -67,16 +69,15 @@ class RunLoop:
         """
         context = self._context
         try:
-            with self._session.running(run), context.topics.heartbeat.of(run.run_id):
-                ending = await self._tune(run, listener)
-                if ending.error_code not in (_CODES.NONE, _CODES.MACHINE_LOST):
-                    done = await self._fallbacks.act(run)
-                    if done:
-                        context.log.info(f"run '{run.run_id}': {done}")
-                        ending = ending._replace(error_msg=f"{ending.error_msg}; {done}")
+            with (
+                self._session.running(run),
+                context.topics.heartbeat.of(run.run_id),
+                self._watching_time(run),
+            ):
+                ending, done = await self._leave(run, await self._tune(run, listener))
                 ending = end_run(context, run, ending)
                 context.status.set(
-                    publish=False, message=ending.error_msg, stop_reason=ending.stop_reason
+                    publish=False, message=ending.error_msg or done, stop_reason=ending.stop_reason
                 )
         finally:
             context.status.work(msg.TunerStatus.IDLE)
@@ -98,17 +99,63 @@ class RunLoop:
             self._context.log.error(f"run '{run.run_id}' ends: {text}")
             return Ending(StopReason.ERROR, code, text)
         if run.interrupted:
-            why = f"the run was stopped: {run.interrupt.result()}"
-            return Ending(StopReason.CANCELED, _CODES.CANCELED, why)
+            return _canceled(run)
         if run.steering.stopping:
-            return Ending(StopReason.STOPPED)
+            return Ending(run.steering.stop.result())
         spent = run.index >= run.budget
         return Ending(StopReason.BUDGET if spent else StopReason.HYPERVOLUME_GOAL)
+
+    async def _leave(self, run: Run, ending: Ending) -> tuple[Ending, str]:
+        """Send the machine where the policies say at the end of a run.
+
+        A run that holds a working point ends where its caller says.
+
+        Returns:
+            How the run ended in the end, as it may be canceled on the way, and what was done, in a few
+            words.
+        """
+        done = ""
+        if ending.error_code == _CODES.NONE and run.changeable:
+            done = await self._fallbacks.act(run, "on_end", run.interrupt)
+            if run.interrupted:
+                ending = _canceled(run)
+        if ending.error_code not in (_CODES.NONE, _CODES.MACHINE_LOST):
+            done = await self._fallbacks.act(run, "on_abort")
+            if done:
+                ending = ending._replace(error_msg=f"{ending.error_msg}; {done}")
+        if done:
+            self._context.log.info(f"run '{run.run_id}': {done}")
+        return ending, done
+
+    @contextmanager
+    def _watching_time(self, run: Run) -> Iterator[None]:
+        """End a run when its time is over, whatever it waits for; an evaluation in flight is finished."""
+        node = self._context.node
+        run.progress.begin(run.found.hypervolume)
+
+        def look() -> None:
+            if run.changeable and run.progress.is_late(self._context.parameters):
+                self._stop(run, StopReason.TIME)
+
+        timer = node.create_timer(TIME_PERIOD, look, clock=STEADY_CLOCK)
+        try:
+            yield
+        finally:
+            node.destroy_timer(timer)
+
+    def _stop(self, run: Run, reason: StopReason) -> None:
+        """Let a run end before its next evaluation."""
+        run.steering.request_stop(reason)
+        run.steering.notify()
+
+    def _suggest(self, run: Run) -> Future:
+        expecting = run.changeable and self._context.parameters.stop_below_expected_gain > 0.0
+        return self._context.worker.submit(run.suggest, expecting)
 
     async def _repeat(self, run: Run, listener: Listener) -> None:
         worker = self._context.worker
         run.step_started = time.perf_counter()
-        suggestion = worker.submit(run.suggest)
+        suggestion = self._suggest(run)
         while not run.finished:
             suggested = await self._next(run, suggestion)
             if suggested is None:
@@ -123,7 +170,7 @@ class RunLoop:
                 self._publish_all(run)
             run.steering.forget_skip()
             if not run.finished:  # computed while the evaluation is reported
-                suggestion = worker.submit(run.suggest)
+                suggestion = self._suggest(run)
             # Saved after the suggestion, while the machine works: nobody waits for it.
             worker.submit(run.save)
             self._report(run, record, listener)
@@ -211,7 +258,7 @@ class RunLoop:
                 await self._apply_change(run)
                 if run.finished:
                     return None
-                suggestion = self._context.worker.submit(run.suggest)
+                suggestion = self._suggest(run)
             suggested = await self._suggested(run, suggestion)
             if run.interrupted or suggested is None:
                 return None
@@ -224,6 +271,10 @@ class RunLoop:
             )
             await first_of(self._context.node, run.interrupt, steering.news, timeout=PAUSE_PERIOD)
         self._context.status.set(message="")
+        parameters = self._context.parameters
+        if run.progress.promises_little(suggested.expected_gain, parameters) and not steering.queue:
+            self._stop(run, StopReason.LITTLE_EXPECTED)
+            return None
         steering.take_step()
         queued, dropped = take_queued(run, self._context.gate)
         for reason in dropped:
@@ -290,6 +341,14 @@ class RunLoop:
             run.steering.pause(verdict.reason)
         elif verdict.action == "end":
             raise RunError(_CODES.MACHINE_ERROR, verdict.reason)
+        reason = run.progress.reason(self._context.parameters)
+        if reason is not None and run.changeable and not run.finished:
+            self._stop(run, reason)
+
+
+def _canceled(run: Run) -> Ending:
+    why = f"the run was stopped: {run.interrupt.result()}"
+    return Ending(StopReason.CANCELED, _CODES.CANCELED, why)
 
 
 def take_queued(run: Run, gate: Gate) -> tuple[dict[str, float] | None, list[str]]:

@@ -29,6 +29,7 @@ from mobo_tuner.tuner.messages import (
     run_records_message,
 )
 from mobo_tuner.tuner.run.steering import Change, Steering
+from mobo_tuner.tuner.run.stopping import Progress
 
 
 class RunError(Exception):
@@ -40,11 +41,15 @@ class RunError(Exception):
 
 
 class Suggestion(NamedTuple):
-    """Where to measure next, where that comes from, and how long it took to find [s]."""
+    """Where to measure next, where that comes from, and how long it took to find [s].
+
+    `expected_gain` is that of the hypervolume, as a share of it; NaN if it is not asked for or unknown.
+    """
 
     setpoint: dict[str, float]
     source: Source
     seconds: float
+    expected_gain: float = math.nan
 
 
 class Outcome(NamedTuple):
@@ -121,6 +126,7 @@ class Run:
             resumes.
         consecutive_failures: Number of failed evaluations at the end of the finished ones.
         step_started: When the evaluation before ended, by `time.perf_counter` [s].
+        progress: What it gained lately, and how long it has taken.
         found: What the run has found so far.
         hints: What keeps it from getting anywhere, each with what to do.
     """
@@ -142,6 +148,7 @@ class Run:
     obstructed: bool = False
     consecutive_failures: int = 0
     step_started: float = field(default_factory=time.perf_counter)
+    progress: Progress = field(default_factory=Progress)
     found: Findings = field(init=False)
     hints: tuple[str, ...] = ()
     _shown: Hints = field(default_factory=Hints)
@@ -206,11 +213,17 @@ class Run:
 
     # ------------------------------------------------------------------ in the worker thread
 
-    def suggest(self) -> Suggestion:
-        """Ask the optimiser where to measure next."""
+    def suggest(self, expecting: bool = False) -> Suggestion:
+        """Ask the optimiser where to measure next.
+
+        Args:
+            expecting: Whether the expected gain is wanted, too.
+        """
         started = time.perf_counter()
         setpoint = self.optimizer.ask()
-        return Suggestion(setpoint, self.optimizer.last_source, time.perf_counter() - started)
+        gain = self.optimizer.expected_gain(setpoint) if expecting else math.nan
+        seconds = time.perf_counter() - started
+        return Suggestion(setpoint, self.optimizer.last_source, seconds, gain)
 
     def learn(self, suggestion: Suggestion, outcome: Outcome) -> EvaluationRecord:
         """Tell the optimiser and the journal what a suggestion led to, a failed evaluation too.
@@ -251,6 +264,7 @@ class Run:
         )
         self.step_started = now
         self.log.keep(record)
+        self.progress.note(record)
         self.records.append((self.problem, record))
         self._look_for_hints()
         if answer.error_code != EvaluateSetpoint.Result.CANCELED:  # skipping is not a failure
@@ -274,6 +288,7 @@ class Run:
             self.optimizer = self.optimizer.with_problem(change.problem)
         self.budget = change.budget
         self.found = Findings.of(self.optimizer)
+        self.progress.count_again(self.found.hypervolume)
         self._look_for_hints()
         self.log.keep(ChangeRecord(stamp, self.index, change.problem, change.budget))
 
@@ -286,6 +301,7 @@ class Run:
         record = replace(request, index=self.index)
         withdraw(self.optimizer, record)
         self.found = Findings.of(self.optimizer)
+        self.progress.count_again(self.found.hypervolume)
         self._look_for_hints()
         self.log.keep(record)
 

@@ -37,7 +37,8 @@ class RunRequest:
     Attributes:
         run_id: Name of the run; empty = a new one is made up.
         evaluations: Budget, those of an earlier run included; 0 = that run's, or the parameter's.
-        hypervolume_goal: Hypervolume at which the run stops; 0 or NaN = no such goal.
+        hypervolume_goal: Hypervolume at which the run stops; 0 or NaN = the parameter's, or that of
+            the earlier run.
     """
 
     run_id: str = ""
@@ -103,6 +104,7 @@ def start_run(
     goal = request.hypervolume_goal if request.hypervolume_goal > 0.0 else 0.0
     if earlier is not None:
         return _resume(earlier, run_id, request, goal, problem, parameters, interrupt, stamp)
+    goal = goal or parameters.hypervolume_goal
     budget = request.evaluations or parameters.evaluations
     settings = {**parameters.values, "budget": budget, "hypervolume_goal": goal}
     start = StartRecord(run_id, stamp, problem, settings)
@@ -136,7 +138,8 @@ def _resume(
             f"evaluations is {budget}; the run '{history.run_id}' has {made} already, more are allowed"
         )
     # It starts as the earlier one did, so that it can be replayed from its own journal alone.
-    goal = goal or float(history.settings.get("hypervolume_goal", 0.0))
+    earlier_goal = float(history.settings.get("hypervolume_goal", 0.0))
+    goal = goal or parameters.hypervolume_goal or earlier_goal
     settings: Mapping[str, Any] = {
         **parameters.values,
         **kept_settings(history.settings),

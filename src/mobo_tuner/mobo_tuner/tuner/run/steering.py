@@ -12,7 +12,7 @@ from typing import NamedTuple
 from rclpy.task import Future
 
 from mobo_tuner.core import Problem
-from mobo_tuner.runs.records import ForgetRecord
+from mobo_tuner.runs.records import ForgetRecord, StopReason
 
 
 class Change(NamedTuple):
@@ -30,7 +30,7 @@ class Steering:
         paused: Whether the run waits before the next evaluation.
         reason: Reason of the pause, in a few words.
         steps: Number of evaluations that it may make although it is paused.
-        stop: Done when the run must end before the next evaluation.
+        stop: Done when the run must end before the next evaluation; its result is a `StopReason`.
         change: Change that takes effect before the next evaluation.
         withdrawals: Evaluations and diagnostics to forget, or to learn again, before the next suggestion.
         queue: Set-points of operators, evaluated before the next suggestion.
@@ -95,10 +95,10 @@ class Steering:
         self.paused, self.reason = True, reason
         self.steps += 1
 
-    def request_stop(self) -> None:
-        """End before the next evaluation."""
+    def request_stop(self, reason: StopReason = StopReason.STOPPED) -> None:
+        """End before the next evaluation; the first reason counts."""
         if not self.stop.done():
-            self.stop.set_result(None)
+            self.stop.set_result(reason)
 
     def request_skip(self) -> None:
         """Skip the evaluation in flight."""

@@ -96,6 +96,8 @@ class ParameterChanges:
         run = self._session.run
         if run is None or not run.changeable:
             return
+        if not problem_changes and "evaluations" not in own_changes:
+            return
         pending = run.steering.change
         budget = pending.budget if pending else run.budget
         run.steering.change = Change(
