@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import moocore
 import numpy as np
 import pytest
 
@@ -112,3 +113,57 @@ def test_awkward_machines_get_finite_candidates_inside_the_bounds(
     for x in tune(optimizer, 9, machine):
         assert all(-2.0 <= value <= 2.0 for value in x.values())
     assert math.isfinite(optimizer.hypervolume)
+
+
+@pytest.mark.parametrize("acquisition", ["ehvi", "ei"])
+def test_the_expected_gain_is_that_of_many_draws_of_the_models(acquisition: str) -> None:
+    """The gain of each draw is counted by moocore."""
+    optimizer = Optimizer(
+        with_changes(constraints={"g": {"max": 0.5}}),
+        initial_evaluations=6,
+        acquisition=acquisition,
+        weights=(1.0, 1.0) if acquisition == "ei" else None,
+    )
+    assert math.isnan(optimizer.expected_gain({"x1": 0.0, "x2": 0.0}))
+    tune(optimizer, 7)
+    optimizer.ask()
+    point = {"x1": 0.4, "x2": -1.5}
+    x = optimizer.problem.normalize(point)[None]
+    rng = np.random.default_rng(1)
+    models = optimizer.archive.models
+    draws = [rng.normal(*m.predict(x), 20_000) for m in models.objectives]
+    [(limit, lower, upper)] = models.constraints
+    limited = rng.normal(*limit.predict(x), 20_000)
+    feasible = (lower <= limited) & (limited <= upper)
+    front = np.array([list(p["objectives"].values()) for p in optimizer.pareto_front()])
+    reference = optimizer.problem.reference_point
+    volume = moocore.hypervolume(front, ref=reference)
+    gains = [
+        moocore.hypervolume(np.vstack([front, values]), ref=reference) - volume
+        for values in np.column_stack(draws)[:3000]
+    ]
+    expected = np.mean(gains) * np.mean(feasible) / volume
+    error = np.std(gains) / math.sqrt(len(gains)) / volume
+    assert optimizer.expected_gain(point) == pytest.approx(expected, abs=4.0 * error)
+    assert optimizer.expected_gain(point) > 0.0
+
+
+def test_what_is_expected_falls_while_a_problem_is_solved() -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY), initial_evaluations=6)
+    gains = []
+    for _ in range(22):
+        asked = optimizer.ask()
+        gains.append(optimizer.expected_gain(asked))
+        optimizer.tell(asked, toy(asked))
+    assert all(math.isnan(gain) for gain in gains[:6])
+    assert max(gains[6:9]) > 5.0 * gains[-1] > 0.0
+
+
+def test_asking_what_is_expected_changes_nothing() -> None:
+    curious, plain = (Optimizer(Problem.from_dict(TOY), initial_evaluations=4) for _ in range(2))
+    for _ in range(9):
+        asked = curious.ask()
+        curious.expected_gain(asked)
+        curious.tell(asked, toy(asked))
+    assert tune(plain, 9)[-1] == asked
+    assert plain.get_state() == curious.get_state()

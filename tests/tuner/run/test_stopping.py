@@ -13,12 +13,13 @@ from rclpy.node import Node
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import Tune
+from mobo_tuner.machine.double import Answer
 from mobo_tuner.ros.qos import LATCHED
 from mobo_tuner.runs.records import StopReason
 from mobo_tuner.tuner.run.stopping import SUGGESTIONS, Progress
 from tests.runs.test_records import EVALUATION
 from tests.support.processes import NodeProcess
-from tests.support.tuner import Answer, GoalClient, Listener, Services, journal, toy_machine
+from tests.support.tuner import GoalClient, Listener, Services, journal, toy_machine
 from tests.tuner.run.test_decisions import Clock, parameters
 
 
@@ -141,3 +142,18 @@ def test_the_time_of_a_run_ends_a_pause_and_the_machine_goes_back(
     assert machine.position == before
     spin_until(lambda: statuses.messages[-1].state == msg.TunerStatus.IDLE, "the end")
     assert statuses.messages[-1].message == "the machine went to the state before the run"
+
+
+def test_the_run_of_an_operator_ends_when_little_is_expected(
+    start_tuner: Callable[..., NodeProcess], client: GoalClient, node: Node
+) -> None:
+    machine = toy_machine(node)
+    start_tuner("initial_evaluations:=4", "stop_below_expected_gain:=4.0", config="shift.yaml")
+    client.send(Tune.Goal(run_id="shift"))
+    result = client.wait(60.0)
+    assert (result.error_code, result.stop_reason) == (0, "little_expected")
+    assert 4 + SUGGESTIONS <= result.evaluations < 25
+    assert result.pareto_front.hypervolume > 9.0  # of at most 15
+    position = {name: pytest.approx(value) for name, value in machine.position.items()}
+    front = [{i.name: i.value for i in p.setpoint} for p in result.pareto_front.points]
+    assert position in front

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from mobo_tuner.core.acquisition import (
     ACQUISITION_FUNCTIONS,
     AcquisitionFunction,
+    ExpectedHypervolumeImprovement,
     Knowledge,
     Model,
     beta_schedule,
@@ -108,6 +109,25 @@ class CandidateSearch:
         if other is not None and self._pays(other, used):
             return other
         return self._explored(rng)
+
+    def expected_gain(self, x: Array) -> float:
+        """Return the share by which an evaluation at x ``(d,)`` is expected to raise the hypervolume.
+
+        It is the expected improvement times the probability of feasibility, by the models of the last
+        update. NaN if the models are not ready or there is no hypervolume yet.
+        """
+        models, belief, volume = self._models, self._archive.belief, self._archive.hypervolume
+        if not models.ready or not models.known.all() or volume <= 0.0:
+            return math.nan
+        values, reference = belief.objectives[belief.feasible], self._problem.reference_point
+        single = ACQUISITION_FUNCTIONS.find(self._settings.acquisition).single_objective
+        # The boxes of the archive are only built when the acquisition function needs them, too.
+        front = partial(BoxDecomposition, reference, values) if single else self._archive.front
+        knowledge = Knowledge(tuple(models.objectives), values, reference, 0.0, front)
+        improvement: AcquisitionFunction = ExpectedHypervolumeImprovement.of(knowledge)
+        for limit in models.constraints:
+            improvement = improvement * ProbabilityOfFeasibility(*limit)
+        return float(np.exp(improvement.log_value(x[None])[0]) / volume)
 
     def _unconfirmed(self) -> Array | None:
         """Return a point beside a suspected reading that is better than believed, shape ``(d,)``.

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping
 from difflib import get_close_matches
@@ -232,6 +233,27 @@ class Optimizer:
         self._last_source = "model"
         with single_blas_thread():
             return self.problem.denormalize(search.candidate())
+
+    def expected_gain(self, setpoint: Mapping[str, float]) -> float:
+        """Return the gain of hypervolume that the models expect of an evaluation, as a share of it.
+
+        It is the expected hypervolume improvement times the probability of feasibility, by the models
+        with which `ask` made its last suggestion. Later suggestions are unaffected.
+
+        Args:
+            setpoint: Every variable, in physical units.
+
+        Returns:
+            The share; NaN if there are no models or no hypervolume yet.
+
+        Raises:
+            ProblemError: If the set-point does not fit the problem.
+        """
+        x = self.problem.normalize(setpoint)
+        if len(self.dataset) < self.initial_evaluations:
+            return math.nan
+        with single_blas_thread():
+            return self._search().expected_gain(x)
 
     def catch_up(self) -> None:
         """Update the models as `ask` would, without the search.
