@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,7 @@ from mobo_tuner.nodes.parameters import CONSOLE, RECORDER
 from mobo_tuner.parameter_spec import ParameterSpec
 from mobo_tuner.tuner.parameters import TUNER
 from tests.support.paths import CONFIG
+from tests.support.processes import NodeStarter, wait_until
 
 PREFIX = Path(sys.prefix)
 # Each started in a way that it must refuse at once, in a sentence of its own.
@@ -112,3 +115,28 @@ def test_a_run_without_a_journal_must_be_asked_for() -> None:
     assert done.returncode == 2
     assert "runs_dir is empty" in done.stderr
     assert "journal" in done.stderr
+
+
+def test_each_node_alone_says_what_it_serves_and_ends_soon_after_a_signal(
+    start_node: NodeStarter, tmp_path: Path
+) -> None:
+    given = {
+        "tuner": [*TOY, "-p", f"runs_dir:={tmp_path}"],
+        "awa_sim": TOY,
+        "recorder": ["--ros-args", "-p", f"bag_path:={tmp_path / 'bag'}"],
+        "machine_bridge": ["--ros-args", "-p", f"mapping:={CONFIG / 'bridge_foreign.yaml'}"],
+    }
+    served = {
+        "tuner": "/tune",
+        "awa_sim": "/evaluate_setpoint",
+        "recorder": "recorder_status",
+        "machine_bridge": "/evaluate_setpoint",
+    }
+    for number, (node, arguments) in enumerate(given.items()):
+        process = start_node("-m", NODES[node][0], *arguments)
+        wait_until(lambda: "ready" in process.stderr, f"{node} to be ready")  # noqa: B023
+        (ready,) = [line for line in process.stderr.splitlines() if "ready" in line]
+        assert served[node] in ready
+        begin = time.monotonic()
+        assert process.stop((signal.SIGINT, signal.SIGTERM)[number % 2]) == 0
+        assert time.monotonic() - begin < 2.5, node  # 0.1 to 0.4 s, on a busy machine, too
