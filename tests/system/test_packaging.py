@@ -255,6 +255,14 @@ def test_the_oldest_versions_allowed_are_those_that_are_tested(
                 assert f"{tested[name]}.".startswith(f"{bound.removeprefix('>=').strip()}."), name
 
 
+def test_what_is_tested_with_the_oldest_libraries_is_there() -> None:
+    script = (SOURCE.parent / "tools" / "oldest_libraries.sh").read_text(encoding="utf-8")
+    tested = re.findall(r"tests/[\w/]+(?:\.py)?", script)
+    assert len(tested) > 10
+    for path in tested:
+        assert (SOURCE.parent / path).exists(), path
+
+
 def run_without(absent: set[str], program: str) -> None:
     """Run a program in which some modules cannot be imported."""
     hook = f"""
