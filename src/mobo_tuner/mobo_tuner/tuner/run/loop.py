@@ -414,6 +414,6 @@ def end_run(context: TunerContext, run: Run, ending: Ending) -> Ending:
         context.log.error(f"the end of run '{run.run_id}' is not kept: {run.log.trouble}")
     if lacking:
         text = f"{run.log.trouble}; it lacks evaluation {', '.join(map(str, lacking))}"
-        ending = Ending("error", ending.error_code or _CODES.INTERNAL, text)
+        ending = Ending(StopReason.ERROR, ending.error_code or _CODES.INTERNAL, text)
     run.log.close()
     return ending
