@@ -11,6 +11,7 @@ from typing import NoReturn
 
 from launcher.errors import UsageError
 from launcher.machine import split_command
+from launcher.page import FIRST_PORT, LOCAL, MAX_PORT
 from launcher.ros_domain import LAST as LAST_DOMAIN
 from launcher.run_folder import RUN_ID, RUN_ID_RULE
 
@@ -216,7 +217,25 @@ def _add_machine(verb: argparse.ArgumentParser, default: str) -> None:
 
 def _add_surroundings(verb: argparse.ArgumentParser, speed: str) -> None:
     """Add the options for the environment of a run's nodes."""
-    verb.add_argument("--no-dashboard", action="store_true", help="accepted; there is no page yet")
+    verb.add_argument("--no-dashboard", action="store_true", help="do not start the page")
+    verb.add_argument(
+        "--port",
+        metavar="N",
+        type=_whole(1, MAX_PORT),
+        help=f"port of the page (default: the first free one from {FIRST_PORT})",
+    )
+    verb.add_argument(
+        "--page-host",
+        metavar="ADDRESS",
+        default=LOCAL,
+        help="address on which the page listens; on any other than this host's own, only who opens the "
+        "printed address with its token may act (default: 127.0.0.1)",
+    )
+    verb.add_argument(
+        "--no-browser",
+        action="store_true",
+        help="do not open the page in a browser, as happens from a terminal on a desktop",
+    )
     verb.add_argument(
         "--speed",
         metavar="X",

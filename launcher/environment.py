@@ -121,6 +121,15 @@ STAGES = (
         ("{venv}/bin/python", "-P", "-m", "mobo_tuner.warmup"),
     ),
 )
+PAGE_STAGES = (
+    Stage(
+        "page",
+        "installing the page for the browser (NiceGUI)",
+        "requirements",
+        (*_PIP, "-r", "requirements-page.txt"),
+        sources=("requirements-page.txt", "requirements.txt"),
+    ),
+)
 # Beside the stages of a run. No run needs torch, which is as large as all the rest.
 DEVELOPMENT_STAGES = (
     Stage(

@@ -56,6 +56,7 @@ RECORDER = NodeProgram("recorder", "mobo_tuner.nodes.recorder", "recorder", ("ba
 CONSOLE = NodeProgram(
     "console", "mobo_tuner.nodes.console", "console", ("run_id", "evaluations", "resume_from")
 )
+PAGE = NodeProgram("page", "mobo_tuner.nodes.page", "page", ("host", "port", "runs_dir"))
 
 
 @dataclass(frozen=True)

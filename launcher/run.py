@@ -10,18 +10,19 @@ import shlex
 import shutil
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from launcher.environment import clean_environment
+from launcher.environment import PAGE_STAGES, STAGES, Stage, clean_environment
 from launcher.errors import LauncherError, RunFolderError, UsageError
 from launcher.machine import MACHINE_NODES, Machine, shared_domain
+from launcher.page import PageDoor
 from launcher.processes import Interrupted
-from launcher.programs import CONSOLE, RECORDER, THREADS, TUNER, Project, open_project
+from launcher.programs import CONSOLE, PAGE, RECORDER, THREADS, TUNER, Project, open_project
 from launcher.ros_domain import RosDomain
 from launcher.run_folder import CONFIG_FILE, RunFolder, process_start
 from launcher.supervisor import Command, Conclusion, Launch, Supervisor, interrupted
@@ -79,7 +80,7 @@ def run(options: argparse.Namespace) -> None:
             f"the run '{options.run_id}' exists already in '{runs_dir}', "
             "and no run is ever overwritten"
         )
-    with open_project(options.root) as project:
+    with open_project(options.root, _stages(options)) as project, PageDoor.open(options) as door:
         with tempfile.TemporaryDirectory() as scratch:
             machine = Machine(command=options.machine or "")
             checked = _check(project, config, Path(scratch), machine)
@@ -88,7 +89,7 @@ def run(options: argparse.Namespace) -> None:
             folder = RunFolder.create(runs_dir, options.run_id, config.stem)
             folder.adopt(checked.copies)
         with domain:
-            _carry_out(project, checked, folder, domain, options)
+            _carry_out(project, checked, folder, domain, door, options)
 
 
 def resume(options: argparse.Namespace) -> None:
@@ -104,7 +105,7 @@ def resume(options: argparse.Namespace) -> None:
         raise UsageError(f"the run '{earlier.run_id}' is active; stop it first")
     if options.config is not None and not options.config.is_file():
         raise UsageError(f"the configuration '{options.config}' is not a file")
-    with open_project(options.root) as project:
+    with open_project(options.root, _stages(options)) as project, PageDoor.open(options) as door:
         with tempfile.TemporaryDirectory() as scratch:
             config = _config_to_resume(project, earlier, Path(scratch), options)
             checked = _check_again(project, config, Path(scratch), earlier, options)
@@ -122,7 +123,12 @@ def resume(options: argparse.Namespace) -> None:
             folder = RunFolder.create_after(earlier, options.run_id)
             folder.adopt(checked.copies)
         with domain:
-            _carry_out(project, checked, folder, domain, options, earlier.run_id)
+            _carry_out(project, checked, folder, domain, door, options, earlier.run_id)
+
+
+def _stages(options: argparse.Namespace) -> Sequence[Stage]:
+    """Return what must be installed for a run."""
+    return STAGES if options.no_dashboard else (*STAGES, *PAGE_STAGES)
 
 
 def check_arguments(command: str) -> list[str]:
@@ -251,6 +257,7 @@ def _carry_out(
     checked: CheckedConfig,
     folder: RunFolder,
     domain: RosDomain,
+    door: PageDoor,
     options: argparse.Namespace,
     resumed_from: str | None = None,
 ) -> None:
@@ -290,7 +297,7 @@ def _carry_out(
     conclusion = Conclusion("failed", "the run failed: mobo.py met an error of its own", 1)
     try:
         folder.record(facts)
-        conclusion = _tune(project, checked, folder, domain, values)
+        conclusion = _tune(project, checked, folder, domain, door, values)
     except Interrupted as interruption:
         conclusion = interrupted(interruption)
     finally:
@@ -316,6 +323,7 @@ def _tune(
     checked: CheckedConfig,
     folder: RunFolder,
     domain: RosDomain,
+    door: PageDoor,
     values: Mapping[str, object],
 ) -> Conclusion:
     """Run the nodes until the console ends, and create the report."""
@@ -327,6 +335,9 @@ def _tune(
         commands["machine"] = Command(machine, in_folder)
     for program in (TUNER, RECORDER, CONSOLE):
         commands[program.name] = Command(program.command(python, config, values), folder.path)
+    if door.is_open:
+        words = PAGE.command(python, config, {**values, **door.parameters})
+        commands[PAGE.name] = Command(words, folder.path, door.stdin, door.environment)
     launch = Launch(
         commands=commands,
         foreground=CONSOLE.name,
@@ -341,10 +352,12 @@ def _tune(
         ),
         folder=folder.path,
         goes_back=checked.goes_back,
+        onlookers=(PAGE.name,),
     )
     print(f"run {folder.run_id} in ROS domain {domain.id}; to join from another terminal:")
     variables = (f"{name}={shlex.quote(text)}" for name, text in domain.environment.items())
     print(f"  export {' '.join(variables)}", flush=True)
+    door.announce()
     supervisor = Supervisor(project.processes, launch)
     conclusion = supervisor.run()
     if folder.has_journal or conclusion.state == "finished":

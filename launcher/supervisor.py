@@ -7,7 +7,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from launcher.processes import Interrupted, Processes, describe_status
@@ -22,6 +22,7 @@ _RESERVE = 0.4  # [s] of EXIT_LIMIT kept for this script's own end
 _UNHANDLED_SIGINT = (-signal.SIGINT, 128 + signal.SIGINT)  # statuses after a request to stop
 _CANCELED = 130  # status of the foreground after a canceled run
 _LOG_TAIL = 5  # lines shown of the log of a node that died
+_MAX_RESTARTS = 3  # of programs on which the run does not depend
 _SENTENCE_LIMIT = 500  # characters of another program's last words that are repeated
 
 
@@ -44,10 +45,19 @@ class Conclusion:
 
 @dataclass(frozen=True)
 class Command:
-    """A command line, and the working folder of its process."""
+    """A program to start.
+
+    Attributes:
+        words: Command line.
+        folder: Working folder of its process.
+        stdin: File descriptor of its standard input.
+        environment: Further environment variables, of this program alone.
+    """
 
     words: Sequence[str]
     folder: Path
+    stdin: int = subprocess.DEVNULL
+    environment: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -61,6 +71,7 @@ class Launch:
         environment: Environment variables of all programs.
         folder: Folder of the run; logs go to its `log`.
         goes_back: Whether the machine is moved after a cancel.
+        onlookers: Names of the programs on which the run does not depend, whatever happens to them.
     """
 
     commands: Mapping[str, Command]
@@ -69,6 +80,7 @@ class Launch:
     environment: Mapping[str, str]
     folder: Path
     goes_back: bool = False
+    onlookers: Sequence[str] = ()
 
     @property
     def has_begun(self) -> bool:
@@ -89,6 +101,7 @@ class Supervisor:
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         self._deadline = float("inf")  # for the end of all programs after a signal
         self._loss = ""  # how the recorder was lost during the run
+        self._restarts = 0  # of programs on which the run does not depend
 
     def run(self) -> Conclusion:
         """Carry out the run; every program has ended when this returns.
@@ -144,16 +157,30 @@ class Supervisor:
         return "" if status == 0 else f"the report failed: {self._last_words('report', status)}"
 
     def _start(self) -> None:
-        for name, command in self._launch.commands.items():
-            in_foreground = name == self._launch.foreground
-            with self._launch.log(name).open("wb") as log:
-                self._running[name] = self._processes.start(
-                    command.words,
-                    environment=self._launch.environment,
-                    cwd=command.folder,
-                    stdout=None if in_foreground else log,
-                    stderr=log,
-                )
+        for name in self._launch.commands:
+            self._start_program(name, "wb")
+
+    def _revive(self) -> None:
+        """Start a dead program on which the run does not depend again, but not for ever."""
+        for name in self._launch.onlookers:
+            process = self._running.get(name)
+            if process is None or process.poll() is None or self._restarts >= _MAX_RESTARTS:
+                continue
+            self._restarts += 1
+            self._start_program(name, "ab")
+
+    def _start_program(self, name: str, mode: str) -> None:
+        command = self._launch.commands[name]
+        in_foreground = name == self._launch.foreground
+        with self._launch.log(name).open(mode) as log:
+            self._running[name] = self._processes.start(
+                command.words,
+                environment={**self._launch.environment, **command.environment},
+                cwd=command.folder,
+                stdin=command.stdin,
+                stdout=None if in_foreground else log,
+                stderr=log,
+            )
 
     def _watch(self) -> Conclusion:
         """Wait until the foreground ends, or a node dies and the foreground has had time to end.
@@ -161,9 +188,12 @@ class Supervisor:
         The run continues without the recorder: it has its journal, and the tuner tells of the loss.
         """
         foreground = self._running[self._launch.foreground]
-        self._processes.wait_until(
-            lambda: foreground.poll() is not None or self._dead_node() is not None, float("inf")
-        )
+
+        def over() -> bool:
+            self._revive()
+            return foreground.poll() is not None or self._dead_node() is not None
+
+        self._processes.wait_until(over, float("inf"))
         dead = self._dead_node()
         if dead is not None:
             self._processes.wait(foreground, _FAREWELL)
@@ -204,6 +234,8 @@ class Supervisor:
     def _judge(self) -> Conclusion:
         """Return the conclusion of a successful run, unless a node failed at its end."""
         for name, process in self._running.items():
+            if name in self._launch.onlookers:
+                continue
             unhandled = name != self._launch.last and process.returncode in _UNHANDLED_SIGINT
             lost = name == self._launch.last and self._loss
             if process.returncode != 0 and not unhandled and not lost:
@@ -219,8 +251,9 @@ class Supervisor:
 
     def _dead_node(self) -> str | None:
         """Return the first dead node without which the run cannot continue, if there is one."""
+        independent = (self._launch.foreground, *self._launch.onlookers)
         for name, process in self._running.items():
-            if name == self._launch.foreground or process.poll() is None:
+            if name in independent or process.poll() is None:
                 continue
             if name != self._launch.last or not self._launch.has_begun:
                 return name

@@ -8,7 +8,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from launcher.environment import DEVELOPMENT_STAGES, STAGES, clean_environment
+from launcher.environment import DEVELOPMENT_STAGES, PAGE_STAGES, STAGES, clean_environment
 from launcher.errors import LauncherError, RunFolderError, UsageError
 from launcher.processes import Interrupted
 from launcher.programs import LONG, THREADS, open_project
@@ -41,7 +41,7 @@ def test(root: Path, arguments: list[str]) -> int:
     Raises:
         SetupError, Interrupted, OSError
     """
-    with open_project(root, (*STAGES, *DEVELOPMENT_STAGES)) as project:
+    with open_project(root, (*STAGES, *PAGE_STAGES, *DEVELOPMENT_STAGES)) as project:
         process = project.processes.start(
             [str(project.environment.python), "-m", "pytest", *(arguments or _PARALLEL_TESTS)],
             environment=clean_environment(**THREADS, MPLBACKEND="Agg"),

@@ -1,4 +1,4 @@
-"""Parameters of the recorder and the console."""
+"""Parameters of the recorder, the console and the page."""
 
 from mobo_tuner.parameter_spec import ParameterSpec
 
@@ -37,4 +37,15 @@ CONSOLE = (
         minimum=0.1,
         maximum=3600.0,
     ),
+)
+
+PAGE = (
+    ParameterSpec(
+        "host",
+        "127.0.0.1",
+        "Address to listen on; on any other than this host's own, only who has the token may act.",
+    ),
+    ParameterSpec("port", 8070, "Port to listen on; 0 = any free one.", minimum=0, maximum=65535),
+    ParameterSpec("read_only", False, "Whether nobody may act."),
+    ParameterSpec("runs_dir", "", "Folder of the runs that the page lists; empty = none."),
 )

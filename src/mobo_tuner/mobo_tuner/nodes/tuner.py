@@ -31,7 +31,7 @@ from mobo_tuner.tuner.services.steering import SteeringServices
 from mobo_tuner.tuner.services.tune import TuneServer
 from mobo_tuner.tuner.services.working_points import WorkingPoints
 from mobo_tuner.tuner.session import Session
-from mobo_tuner.tuner.topics import TunerTopics
+from mobo_tuner.tuner.topics import Motion, TunerTopics
 
 STOPPED = "the tuner was asked to stop"
 
@@ -69,6 +69,7 @@ class Tuner:
                     evaluation_timeout=parameters.evaluation_timeout,
                 ),
                 bounds=lambda: problem.problem,
+                motion=Motion(self.node),
             ),
             topics=TunerTopics(self.node, problem.problem, parameters.client_timeout),
             stopping=Future(executor=executor),

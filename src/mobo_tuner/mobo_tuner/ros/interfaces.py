@@ -180,6 +180,20 @@ STATUS = Topic(
     "tuner",
     "State of the tuner, after each change of state and at 1 Hz.",
 )
+MACHINE_SETPOINT = Topic(
+    "machine_setpoint",
+    msg.NamedValues,
+    LATCHED,
+    "tuner",
+    "Set-point to which the tuner sends the machine, before each evaluation and each move.",
+)
+MACHINE_READBACKS = Topic(
+    "machine_readbacks",
+    msg.NamedValues,
+    LATCHED,
+    "tuner",
+    "Readbacks while the machine is on its way there, at 10 Hz at most, and at its arrival.",
+)
 PLOT = Topic(
     "plot/<name>",
     Float64,

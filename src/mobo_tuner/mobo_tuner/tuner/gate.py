@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from rclpy.task import Future
 
@@ -94,6 +94,16 @@ class Machine(Protocol):
         """Have the machine go to a set-point by itself."""
 
 
+class Observer(Protocol):
+    """What is told of every motion."""
+
+    def begin(self, setpoint: Sequence[msg.NamedValue]) -> None:
+        """Take note of the set-point of a motion that begins."""
+
+    def progress(self, readbacks: Sequence[msg.NamedValue], *, last: bool = False) -> None:
+        """Take note of readbacks, the last ones at its end."""
+
+
 class Gate:
     """Checks every set-point that the tuner sends, and is the only one that talks to the machine.
 
@@ -104,11 +114,15 @@ class Gate:
     Args:
         machine: Client of the machine.
         bounds: Function that returns the tuner's problem as it is now.
+        motion: Observer of all motions; None if there is none.
     """
 
-    def __init__(self, machine: Machine, bounds: Callable[[], Problem]) -> None:
+    def __init__(
+        self, machine: Machine, bounds: Callable[[], Problem], motion: Observer | None = None
+    ) -> None:
         self._machine = machine
         self._bounds = bounds
+        self._motion = motion
         self._limits: Sequence[msg.Variable] = ()  # of the machine that answered last
 
     @property
@@ -193,7 +207,9 @@ class Gate:
             if_client_lost=if_client_lost,
             if_violated=if_violated,
         )
-        return await self._machine.evaluate(goal, on_feedback, *interrupts)
+        watched = self._watched(at, on_feedback)
+        answer = await self._machine.evaluate(goal, watched, *interrupts)
+        return self._ended(answer, units)
 
     async def move(
         self,
@@ -211,7 +227,9 @@ class Gate:
         """
         self.check(target)
         setpoint = named_values(target.setpoint, units)
-        return await self._machine.apply(setpoint, on_feedback, *interrupts, leave=leave)
+        watched = self._watched(setpoint, on_feedback)
+        answer = await self._machine.apply(setpoint, watched, *interrupts, leave=leave)
+        return self._ended(answer, units)
 
     async def send_off(self, target: Target, units: Mapping[str, str], timeout: float) -> bool:
         """Have the machine go to a target by itself; see `MachineClient.send_off`.
@@ -220,7 +238,31 @@ class Gate:
             BoundsError: If the target is not allowed; nothing was sent.
         """
         self.check(target)
-        return await self._machine.send_off(named_values(target.setpoint, units), timeout)
+        setpoint = named_values(target.setpoint, units)
+        if self._motion is not None:
+            self._motion.begin(setpoint)
+        return await self._machine.send_off(setpoint, timeout)
+
+    def _watched(
+        self, setpoint: Sequence[msg.NamedValue], on_feedback: FeedbackCallback
+    ) -> FeedbackCallback:
+        """Tell the observer of a motion that begins; return what also tells it of the feedback."""
+        motion = self._motion
+        if motion is None:
+            return on_feedback
+        motion.begin(setpoint)
+
+        def watched(feedback: Any) -> None:
+            motion.progress(feedback.readbacks)
+            on_feedback(feedback)
+
+        return watched
+
+    def _ended(self, answer: Answer, units: Mapping[str, str]) -> Answer:
+        """Tell the observer of the end of a motion."""
+        if self._motion is not None:
+            self._motion.progress(named_values(answer.readbacks, units), last=True)
+        return answer
 
 
 def check_bounds(problem: Problem, setpoint: Mapping[str, float]) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
 from rclpy.duration import Duration
@@ -18,6 +19,7 @@ from mobo_tuner.ros.waiting import STEADY_CLOCK
 STATUS_PERIOD = 1.0  # [s]
 HEARTBEAT_PERIOD = 1.0  # [s] at most
 HEARTBEATS_PER_TIMEOUT = 3.0  # at least
+READBACK_PERIOD = 0.1  # [s] at least between two messages about a motion
 
 
 class TunerTopics:
@@ -142,6 +144,36 @@ class Status:
     def _publish(self) -> None:
         self.message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(self.message)
+
+
+class Motion:
+    """The topics `machine_setpoint` and `machine_readbacks`: where the machine goes, and where it is.
+
+    Args:
+        node: Node that publishes.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._setpoint = interfaces.MACHINE_SETPOINT.publisher(node)
+        self._readbacks = interfaces.MACHINE_READBACKS.publisher(node)
+        self._said = 0.0  # when readbacks were published, by `time.monotonic` [s]
+
+    def begin(self, setpoint: Sequence[msg.NamedValue]) -> None:
+        """Publish the set-point of a motion that begins now."""
+        self._setpoint.publish(self._message(setpoint))
+        self._said = 0.0
+
+    def progress(self, readbacks: Sequence[msg.NamedValue], *, last: bool = False) -> None:
+        """Publish readbacks; those that follow too closely are left out unless they are the last."""
+        now = time.monotonic()
+        if readbacks and (last or now - self._said >= READBACK_PERIOD):
+            self._said = now
+            self._readbacks.publish(self._message(readbacks))
+
+    def _message(self, values: Sequence[msg.NamedValue]) -> msg.NamedValues:
+        header = Header(stamp=self._node.get_clock().now().to_msg())
+        return msg.NamedValues(header=header, values=list(values))
 
 
 class Heartbeat:

@@ -1,0 +1,111 @@
+"""What a viewer asks of the tuner, by its public client, off the thread of the page."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from mobo_tuner.client import Arrival, TunerClient, TunerError
+
+LEAST_PERIOD = 0.2  # [s] between two requests of all viewers together
+
+
+class Answer(NamedTuple):
+    """Answer to a request.
+
+    Attributes:
+        agreed: Whether the tuner did it.
+        sentence: Its sentence.
+    """
+
+    agreed: bool
+    sentence: str
+
+
+class Commands:
+    """Requests to a tuner; one is made at a time, and a move beside it.
+
+    Args:
+        client: Client of the tuner.
+    """
+
+    def __init__(self, client: TunerClient) -> None:
+        self._client = client
+        self._free = asyncio.Lock()
+        self._moves = asyncio.Lock()
+
+    async def pause(self) -> Answer:
+        """Pause the run after the current evaluation."""
+        return await self._ask(self._client.pause)
+
+    async def resume(self) -> Answer:
+        """Continue a paused run."""
+        return await self._ask(self._client.resume)
+
+    async def step(self) -> Answer:
+        """Do one evaluation of a paused run."""
+        return await self._ask(self._client.step)
+
+    async def skip(self) -> Answer:
+        """End the current evaluation, or stop the machine on its way."""
+        return await self._ask(self._client.skip)
+
+    async def stop(self) -> Answer:
+        """End the run after the current evaluation."""
+        return await self._ask(self._client.stop)
+
+    async def cancel(self) -> Answer:
+        """Cancel the active run or move."""
+
+        def cancel() -> str:
+            return "it is being canceled" if self._client.cancel_any() else "nothing is active"
+
+        return await self._ask(cancel)
+
+    async def queue(self, setpoint: Mapping[str, float]) -> Answer:
+        """Add a set-point, which the run evaluates next."""
+
+        def queue() -> str:
+            waiting = self._client.queue(setpoint)
+            return f"the set-point is queued; {waiting} in the queue"
+
+        return await self._ask(queue)
+
+    async def set(self, values: Mapping[str, Any]) -> Answer:
+        """Set parameters of the tuner: all of them, or none."""
+
+        def change() -> str:
+            self._client.set(values)
+            return "changed: " + ", ".join(f"{name} = {value}" for name, value in values.items())
+
+        return await self._ask(change)
+
+    async def go(self, index: int, run_id: str, hold: int) -> Answer:
+        """Go to a point of the front, and wait until the machine has arrived."""
+
+        def go() -> str:
+            arrival: Arrival = self._client.go(index, run_id=run_id, hold=hold)
+            held = f" and held it for {arrival.evaluations} evaluations" if hold else ""
+            return f"the machine is at the point of evaluation {index}{held}"
+
+        if self._moves.locked():
+            return Answer(False, "the machine is already on its way; stop it first")
+        async with self._moves:
+            return await _made(go)
+
+    async def _ask(self, request: Callable[[], str]) -> Answer:
+        if self._free.locked():
+            return Answer(False, "the tuner has not answered the last request yet")
+        async with self._free:
+            answer = await _made(request)
+            await asyncio.sleep(LEAST_PERIOD)
+            return answer
+
+
+async def _made(request: Callable[[], str]) -> Answer:
+    """Make a request in a thread of its own; a refusal is an answer, too."""
+    try:
+        return Answer(True, await asyncio.to_thread(request))
+    except TunerError as error:
+        return Answer(False, str(error))

@@ -1,0 +1,193 @@
+"""What was found: the front of two objectives, the hypervolume, the chosen point, all coordinates."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from nicegui import events, ui
+
+from mobo_tuner.client import Point
+from mobo_tuner.page import charts
+from mobo_tuner.page.board import RunBoard
+from mobo_tuner.page.viewer import Table, Viewer, card
+from mobo_tuner.page.words import measured, number, quantity
+
+EMPTY: charts.Options = {"series": [], "animation": False}
+
+
+class FrontPanel:
+    """The front of any two objectives; a click chooses a point."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        self._viewer = viewer
+        with card("front"):
+            with ui.element("div").classes("card-head"):
+                ui.label("Pareto front").classes("card-title").props(
+                    'role="heading" aria-level="2"'
+                )
+                self._note = ui.label().classes("quiet grow")
+                self._y = self._select("vertical axis", "y")
+                self._x = self._select("horizontal axis", "x")
+            self.chart = ui.echart(dict(EMPTY), on_point_click=self._click).classes("chart tall")
+            self.chart.props(
+                'role="img" aria-label="Pareto front; the table beside it has its points"'
+            )
+
+    def _select(self, label: str, axis: str) -> ui.select:
+        def chosen(event: events.ValueChangeEventArguments) -> None:
+            setattr(self._viewer, axis, event.value or "")
+            self._viewer.choices += 1
+
+        return ui.select([], label=label, on_change=chosen).props("dense outlined").classes("axis")
+
+    def refresh(self, run: RunBoard) -> None:
+        """Show the front as it is now."""
+        problem, viewer = run.problem, self._viewer
+        if problem is None:
+            return
+        names = list(problem.objective_names)
+        if self._x.options != names:
+            first, second = names[0], names[min(1, len(names) - 1)]
+            viewer.x, viewer.y = first, second
+            self._x.set_options(names, value=first)
+            self._y.set_options(names, value=second)
+        size = len(run.front.points) if run.front is not None else 0
+        self._note.set_text(f"{size} points" + ("" if size else ": none is feasible yet"))
+        show(self.chart, charts.front(run, viewer.x, viewer.y, viewer.chosen, viewer.colours))
+
+    def _click(self, event: events.EChartPointClickEventArguments) -> None:
+        value = event.value
+        if isinstance(value, list) and len(value) > 2 and isinstance(value[2], int):
+            self._viewer.choose(value[2])
+
+
+class HypervolumePanel:
+    """The hypervolume in large figures and over the evaluations."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        self._viewer = viewer
+        with card("hypervolume"):
+            with ui.element("div").classes("card-head"):
+                ui.label("Hypervolume").classes("card-title").props('role="heading" aria-level="2"')
+                self._value = ui.label().classes("figure")
+                self._gain = ui.label().classes("quiet grow")
+            self.chart = ui.echart(dict(EMPTY)).classes("chart low")
+            self.chart.props('role="img" aria-label="hypervolume over the evaluations"')
+
+    def refresh(self, run: RunBoard) -> None:
+        """Show the hypervolume as it is now."""
+        self._value.set_text(number(run.progress.hypervolume, 4))
+        idle = run.without_gain
+        self._gain.set_text(
+            ""
+            if not run.evaluations
+            else f"nothing gained for {idle} evaluations"
+            if idle
+            else "growing"
+        )
+        show(self.chart, charts.hypervolume(run, self._viewer.colours))
+
+
+class ObjectivesPanel:
+    """Last and best value of every objective."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        self._viewer = viewer
+        with card("objectives", "Objectives"):
+            self._table = Table(("name", "last", "best", "note"), "objective-rows")
+
+    def refresh(self, run: RunBoard) -> None:
+        """Show the values as they are now."""
+        if run.problem is None:
+            return
+        last, rows = run.progress.last, []
+        for objective in run.problem.objectives:
+            name, unit = objective.name, objective.unit
+            value = math.nan if last is None else last.objectives.get(name, math.nan)
+            spread = math.nan if last is None else last.stddev(name)
+            best = run.progress.best(name)
+            text = "–" if best is None else quantity(best[0], unit, 4)
+            arrow = "↓" if objective.sign > 0 else "↑"
+            note = "" if best is None else f"at {best[1]}"
+            rows.append(
+                (f"{name} {arrow}", f"last {measured(value, spread)}", f"best {text}", note)
+            )
+        self._table.show(rows)
+
+
+class PointsPanel:
+    """The points of the front as a table, to choose from by keyboard, too, and the chosen one."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        self._viewer = viewer
+        self._shown: list[dict[str, Any]] = []
+        self._columns: list[str] = []
+        with card("points", "Points of the front"):
+            self._table = ui.table(
+                columns=[], rows=[], row_key="#", selection="single", on_select=self._select
+            )
+            self._table.classes("point-table").props("dense flat virtual-scroll hide-bottom")
+
+    def refresh(self, run: RunBoard) -> None:
+        """Show the points as they are now."""
+        if run.problem is None:
+            return
+        names = ["#", *run.problem.objective_names]
+        if names != self._columns:
+            self._columns = names
+            units = {**run.problem.units, "#": ""}
+            self._table.columns = [
+                {
+                    "name": name,
+                    "label": f"{name} [{units[name]}]" if units.get(name) else name,
+                    "field": name,
+                    "sortable": True,
+                    "align": "right",
+                }
+                for name in names
+            ]
+        points = run.front.points if run.front is not None else ()
+        rows = [_row(point) for point in points]
+        if rows != self._shown:
+            self._shown = rows
+            self._table.rows = [dict(row) for row in rows]
+        chosen = [row for row in self._shown if row["#"] == self._viewer.chosen]
+        if self._table.selected != chosen:
+            self._table.selected = [dict(row) for row in chosen]
+
+    def _select(self, event: events.TableSelectionEventArguments) -> None:
+        indices = [row.get("#") for row in event.selection]
+        index = indices[0] if indices else None
+        if index != self._viewer.chosen and (index is None or isinstance(index, int)):
+            self._viewer.choose(index)
+
+
+class CoordinatesPanel:
+    """Parallel coordinates of the front."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        self._viewer = viewer
+        self.chart = ui.echart(dict(EMPTY)).classes("chart wide")
+        self.chart.props(
+            'role="img" aria-label="objectives and variables of all points of the front"'
+        )
+
+    def refresh(self, run: RunBoard) -> None:
+        """Show the coordinates as they are now."""
+        if run.problem is not None:
+            show(self.chart, charts.parallel(run, self._viewer.chosen, self._viewer.colours))
+
+
+def show(chart: ui.echart, options: charts.Options) -> None:
+    """Have a plot show other options, in place."""
+    if chart.options != options:
+        chart.options.clear()
+        chart.options.update(options)
+        chart.update()
+
+
+def _row(point: Point) -> dict[str, Any]:
+    values = {name: float(f"{value:.5g}") for name, value in point.objectives.items()}
+    finite = {name: value if math.isfinite(value) else None for name, value in values.items()}
+    return {"#": point.index, **finite}

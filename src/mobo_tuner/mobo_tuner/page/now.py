@@ -1,0 +1,115 @@
+"""What is happening: the state in large words, what moves where, and how the parts are."""
+
+from __future__ import annotations
+
+import math
+
+from nicegui import ui
+
+from mobo_tuner.page.board import Level
+from mobo_tuner.page.viewer import Table, Viewer, card
+from mobo_tuner.page.words import SYMBOLS, duration, number, quantity, state_of
+
+_LEVEL_SYMBOLS: dict[Level, str] = {"ok": "✓", "warning": "!", "error": "✕", "stale": "?"}
+_LEVEL_WORDS: dict[Level, str] = {
+    "ok": "good",
+    "warning": "warning",
+    "error": "error",
+    "stale": "no answer",
+}
+
+
+class StatePanel:
+    """The state in large words, with one sentence, and how far the run is."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        self._viewer = viewer
+        with card("state") as self._card:
+            with ui.element("div").classes("state-head"):
+                self._icon = ui.icon("stop").classes("state-icon")
+                self._word = ui.label().classes("state-word").props('role="status"')
+                with ui.element("div").classes("state-count"):
+                    self._count = ui.label().classes("count")
+                    self._left = ui.label().classes("count-note")
+            self._sentence = ui.label().classes("sentence").mark("sentence")
+            self._bar = ui.linear_progress(0.0, show_value=False, size="10px")
+            self._bar.props('aria-label="finished share of the evaluations" instant-feedback')
+            with ui.element("div").classes("state-foot"):
+                self._phase = ui.label().classes("phase")
+                self._failure = ui.label().classes("failure")
+            self._hints = ui.label().classes("hints")
+
+    def refresh(self) -> None:
+        """Show the state as it is now."""
+        board = self._viewer.board
+        state, status, run = state_of(board), board.status, board.run
+        self._card.classes(replace=f"card state tone-{state.tone}")
+        self._icon.set_name(SYMBOLS[state.tone])
+        self._word.set_text(state.word)
+        self._sentence.set_text(state.sentence)
+        done = max(status.evaluations, 0)
+        self._count.set_text(f"{done} / {status.budget}" if status.budget else "")
+        left = run.progress.seconds_left if run is not None and board.is_running else math.nan
+        notes = ["evaluations"] if status.budget else []
+        notes += [f"about {duration(left)} left"] if math.isfinite(left) else []
+        self._left.set_text(", ".join(notes))
+        self._bar.set_value(min(done / status.budget, 1.0) if status.budget else 0.0)
+        phase = ""
+        if status.phase and status.state in ("evaluating", "moving"):
+            phase = f"{status.phase} {status.fraction:.0%}"
+        self._phase.set_text(phase)
+        counts = f"{status.feasible} feasible, {status.failed} failed" if done else ""
+        failure = f"last failure: {status.last_failure}" if status.last_failure else ""
+        self._failure.set_text(" · ".join(filter(None, (counts, failure))))
+        self._hints.set_text(" ".join(status.hints))
+
+
+class MotionPanel:
+    """What the machine moves now: old and new value, and the readback on its way."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        self._viewer = viewer
+        with card("motion", "What moves") as self._card:
+            self._table = Table(("name", "way", "here", "share"), "motion-rows")
+            self._none = ui.label("The tuner has not moved the machine yet.").classes("quiet")
+
+    def refresh(self) -> None:
+        """Show the motion as it is now."""
+        motion, run = self._viewer.board.motion, self._viewer.board.run
+        units = run.problem.units if run is not None and run.problem is not None else {}
+        rows = []
+        for name, target in motion.target.items():
+            unit = units.get(name, "")
+            start, fraction = motion.start.get(name, math.nan), motion.fraction(name)
+            here = motion.readbacks.get(name, math.nan)
+            way = f"{number(start)} → {quantity(target, unit)}"
+            share = "" if math.isnan(fraction) else f"{fraction:.0%}"
+            rows.append((name, way, f"now {number(here)}", share))
+        self._table.show(rows)
+        self._none.set_visibility(not rows)
+
+
+class HealthPanel:
+    """How the tuner, the machine, the recorder and the disk are."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        self._viewer = viewer
+        with card("health", "Health"):
+            self._table = Table(("name", "level", "message"), "health-rows")
+            self._none = ui.label("No node has said how it is yet.").classes("quiet")
+
+    def refresh(self) -> None:
+        """Show the health as it is now."""
+        rows, tones = [], []
+        for part in self._viewer.board.parts():
+            extra = [
+                f"{name.partition(' [')[0]} {value} {name.partition(' [')[2].rstrip(']')}"
+                for name, value in part.values.items()
+                if name.startswith("free disk")
+            ]
+            message = "; ".join([part.message, *extra])
+            word = f"{_LEVEL_SYMBOLS[part.level]} {_LEVEL_WORDS[part.level]}"
+            rows.append((part.name, word, message))
+            tones.append(f"level-{part.level}")
+        self._table.show(rows, tones)
+        self._none.set_visibility(not rows)

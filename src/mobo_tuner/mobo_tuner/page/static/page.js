@@ -1,0 +1,20 @@
+// Says how old the page is when its server is gone: what is then on the screen cannot be refreshed.
+(() => {
+  let heard = Date.now();
+  const note = document.createElement("div");
+  note.className = "gone";
+  note.setAttribute("role", "alert");
+  const connected = () => window.socket?.connected ?? true;
+  setInterval(() => {
+    if (connected()) heard = Date.now();
+    const seconds = Math.round((Date.now() - heard) / 1000);
+    const gone = seconds >= 3;
+    document.body.classList.toggle("server-gone", gone);
+    if (gone) {
+      note.textContent = `The page has lost its server: all of this is ${seconds} s old.`;
+      document.body.append(note);
+    } else {
+      note.remove();
+    }
+  }, 500);
+})();
