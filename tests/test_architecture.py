@@ -28,7 +28,8 @@ ROOMS = {
     "tuner": ("core", "ros", "runs"),
     "client": ("core", "ros", "runs"),
     "displays": ("core", "machine", "client"),
-    "nodes": ("core", "ros", "machine", "bridge", "runs", "tuner", "client", "displays"),
+    "page": ("core", "ros", "client", "displays"),
+    "nodes": ("core", "ros", "machine", "bridge", "runs", "tuner", "client", "displays", "page"),
 }
 WITHOUT_ROS = ("core", "runs")
 # Modules of others that are not made for everybody, and the one module that may use each.

@@ -13,7 +13,7 @@ import pytest
 
 from awa_sim_node.parameters import AWA_SIM
 from mobo_tuner.bridge.describe import MACHINE_BRIDGE
-from mobo_tuner.nodes.parameters import CONSOLE, RECORDER
+from mobo_tuner.nodes.parameters import CONSOLE, PAGE, RECORDER
 from mobo_tuner.parameter_spec import ParameterSpec
 from mobo_tuner.tuner.parameters import TUNER
 from tests.support.paths import CONFIG
@@ -27,12 +27,14 @@ EXECUTABLES = {
     ("mobo_tuner", "machine_bridge"): ([], "the parameter mapping is empty"),
     ("mobo_tuner", "steer"): (["halt"], "halt"),
     ("mobo_tuner", "console"): (["-p", "evaluations:=-1"], "evaluations is -1"),
+    ("mobo_tuner", "page"): (["-p", "port:=70000"], "port is 70000"),
     ("awa_sim_node", "awa_sim"): (["-p", "model:=lcls"], "model is 'lcls'"),
 }
 NODES: dict[str, tuple[str, tuple[ParameterSpec, ...]]] = {
     "tuner": ("mobo_tuner.nodes.tuner", TUNER),
     "recorder": ("mobo_tuner.nodes.recorder", RECORDER),
     "console": ("mobo_tuner.nodes.console", CONSOLE),
+    "page": ("mobo_tuner.nodes.page", PAGE),
     "machine_bridge": ("mobo_tuner.nodes.machine_bridge", MACHINE_BRIDGE),
     "awa_sim": ("awa_sim_node.node", AWA_SIM),
 }
@@ -85,6 +87,7 @@ MISSPELT = {
     "tuner": ("on_abrt:=restore", "on_abort"),
     "recorder": ("bag_pth:=x", "bag_path"),
     "console": ("resume_form:=x", "resume_from"),
+    "page": ("red_only:=true", "read_only"),
     "machine_bridge": ("maping:=x", "mapping"),
     "awa_sim": ("sped:=5.0", "speed"),
 }

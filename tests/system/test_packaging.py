@@ -21,7 +21,7 @@ from launcher.environment import clean_environment
 SOURCE = Path(__file__).resolve().parents[2] / "src"
 MOBO_TUNER = SOURCE / "mobo_tuner" / "mobo_tuner"
 EXECUTABLES = {
-    "mobo_tuner": ["console", "machine_bridge", "recorder", "steer", "tuner"],
+    "mobo_tuner": ["console", "machine_bridge", "page", "recorder", "steer", "tuner"],
     "awa_sim_node": ["awa_sim"],
 }
 
@@ -118,9 +118,12 @@ WITHOUT_KEY = {
     "threadpoolctl": "python3-threadpoolctl",
     "pyarrow": "pip install pyarrow",
     "torch": "awa_sim_node[training]",
+    "nicegui": "pip install nicegui==3.18.0",
 }
 """How each is installed, in README.md of the package."""
-WITH_OTHERS = {"backports", "lz4", "markupsafe"}  # rosbags and Jinja2 require them
+WITH_OTHERS = {  # rosbags, Jinja2 and NiceGUI require them
+    *("backports", "lz4", "markupsafe", "fastapi", "starlette", "uvicorn"),
+}
 # Which extra a part of a package needs; the longest prefix counts, nothing is needed without one.
 EXTRA_OF = {
     "mobo_tuner": {
@@ -136,6 +139,7 @@ EXTRA_OF = {
         "runs/report": ["report"],
         "displays": ["console"],
         "nodes/bags.py": ["recorder"],
+        "page": ["page"],
         "nodes/recorder.py": ["recorder"],
         "warmup.py": ["tuner"],
     },
@@ -190,6 +194,14 @@ def extras_of(package: str, file: str) -> list[str]:
     """The extras that a file of a package needs."""
     fitting = [p for p in EXTRA_OF[package] if file == p or file.startswith(f"{p}/")]
     return EXTRA_OF[package][max(fitting, key=len)] if fitting else []
+
+
+def test_the_page_is_tied_to_one_version_of_nicegui(wheels: dict[str, zipfile.ZipFile]) -> None:
+    metadata = wheels["mobo_tuner"].read("mobo_tuner-0.1.0.dist-info/METADATA").decode()
+    pinned = f"nicegui=={importlib.metadata.version('nicegui')}"
+    assert f"Requires-Dist: {pinned};" in metadata
+    requirements = (SOURCE.parent / "requirements-page.txt").read_text(encoding="utf-8")
+    assert pinned in requirements.splitlines()
 
 
 def test_the_templates_of_the_report_are_there(wheels: dict[str, zipfile.ZipFile]) -> None:
@@ -285,7 +297,7 @@ sys.meta_path.insert(0, Absent())
 
 OPTIONAL = {
     *("numba", "scipy", "threadpoolctl", "torch", "matplotlib", "jinja2", "markupsafe", "pyarrow"),
-    *("rosbags", "lz4", "backports", "rich"),
+    *("rosbags", "lz4", "backports", "rich", "nicegui", "fastapi", "starlette", "uvicorn"),
 }
 OPTIMISER = {"mobo_tuner.core", "mobo_tuner.runs", "mobo_tuner.tuner"}
 

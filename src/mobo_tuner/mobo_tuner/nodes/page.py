@@ -38,16 +38,18 @@ class Page:
             StartError: If the web framework is not installed.
         """
         self.node = Node("page", automatically_declare_parameters_from_overrides=True)
+        self._client = TunerClient(node=self.node, executor=executor)
         try:
             given = take_given(self.node)
             parameters = declare(self.node, PAGE)
             refuse_undeclared(self.node, given)
-            self._server = self._serve(executor, parameters)
+            self._server = self._serve(parameters)
         except BaseException:
+            self._client.close()
             self.node.destroy_node()
             raise
 
-    def _serve(self, executor: Executor, parameters: dict[str, object]) -> PageServer:
+    def _serve(self, parameters: dict[str, object]) -> PageServer:
         try:
             from mobo_tuner.page.access import Access
             from mobo_tuner.page.feed import Feed
@@ -65,7 +67,6 @@ class Page:
         )
         listener = listen(host, port)
         folder = str(parameters["runs_dir"])
-        self._client = TunerClient(node=self.node, executor=executor)
         server = PageServer(
             Feed(self.node),
             self._client,

@@ -72,10 +72,14 @@ class ActionsPanel:
         async def act() -> None:
             await self._ask(request)
 
-        return ui.button(text, icon=icon, on_click=act).props("no-caps unelevated").classes("act")
+        return (
+            ui.button(text, icon=icon, on_click=act, color=None)
+            .props("no-caps unelevated")
+            .classes("act")
+        )
 
     def _dialog(self, text: str, icon: str, open_dialog: Callable[[], None]) -> ui.button:
-        button = ui.button(text, icon=icon, on_click=open_dialog)
+        button = ui.button(text, icon=icon, on_click=open_dialog, color=None)
         return button.props("no-caps unelevated").classes("act")
 
     def _open_stop(self) -> None:
@@ -112,10 +116,10 @@ class _Confirm:
             _heading(title)
             ui.label(text)
             with ui.element("div").classes("dialog-buttons"):
-                ui.button("No, go back", on_click=self._dialog.close).props(
+                ui.button("No, go back", on_click=self._dialog.close, color=None).props(
                     "no-caps flat autofocus"
                 )
-                ui.button(action, on_click=confirmed).props("no-caps unelevated color=negative")
+                ui.button(action, on_click=confirmed, color=None).props("no-caps unelevated")
 
     def open(self) -> None:
         """Ask."""
@@ -139,11 +143,11 @@ class GoDialog:
                 "evaluations to hold it against drift", value=0, min=0, step=1, format="%d"
             ).props("dense outlined")
             with ui.element("div").classes("dialog-buttons"):
-                ui.button("No, go back", on_click=self._dialog.close).props(
+                ui.button("No, go back", on_click=self._dialog.close, color=None).props(
                     "no-caps flat autofocus"
                 )
-                self._act = ui.button("Move the machine", on_click=self._move)
-                self._act.props("no-caps unelevated color=negative")
+                self._act = ui.button("Move the machine", on_click=self._move, color=None)
+                self._act.props("no-caps unelevated")
 
     def open(self) -> None:
         """Show what would move, and ask."""
@@ -200,8 +204,10 @@ class QueueDialog:
             self._body = ui.element("div").classes("fields")
             self._refusal = ui.label().classes("refused").props('role="alert"')
             with ui.element("div").classes("dialog-buttons"):
-                ui.button("Close", on_click=self._dialog.close).props("no-caps flat")
-                ui.button("Queue it", on_click=self._send).props("no-caps unelevated")
+                ui.button("Close", on_click=self._dialog.close, color=None).props("no-caps flat")
+                ui.button("Queue it", on_click=self._send, color=None).props(
+                    "no-caps unelevated"
+                ).classes("act")
 
     def open(self) -> None:
         """Show the fields, filled with the chosen point or with where the machine is."""
@@ -252,8 +258,10 @@ class ChangeDialog:
             self._body = ui.element("div").classes("settings")
             self._refusal = ui.label().classes("refused").props('role="alert"').mark("refusal")
             with ui.element("div").classes("dialog-buttons"):
-                ui.button("Close", on_click=self._dialog.close).props("no-caps flat")
-                ui.button("Apply", on_click=self._send).props("no-caps unelevated")
+                ui.button("Close", on_click=self._dialog.close, color=None).props("no-caps flat")
+                ui.button("Apply", on_click=self._send, color=None).props(
+                    "no-caps unelevated"
+                ).classes("act")
 
     def open(self) -> None:
         """Show the values of now."""

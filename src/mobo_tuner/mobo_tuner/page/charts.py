@@ -17,6 +17,7 @@ from mobo_tuner.page.board import RunBoard
 from mobo_tuner.page.words import labelled, measured, number, quantity
 
 MAX_POINTS = 600  # of a series; more are thinned out
+FONT = "Roboto, sans-serif"
 MAX_LINES = 150  # of the parallel coordinates
 
 Options = dict[str, Any]
@@ -76,7 +77,9 @@ def front(run: RunBoard, x: str, y: str, chosen: int | None, colours: Colours) -
     objectives = {o.name: o for o in problem.objectives}
     points = run.front.points if run.front is not None else ()
     on_front = {point.index for point in points}
-    others, infeasible, failed = [], [], []
+    others: list[Options] = []
+    infeasible: list[Options] = []
+    failed: list[Options] = []
     for evaluation in run.evaluations:
         if evaluation.index in on_front:
             continue
@@ -165,7 +168,7 @@ def parallel(run: RunBoard, chosen: int | None, colours: Colours) -> Options:
     return {
         "animation": False,
         "backgroundColor": "transparent",
-        "parallel": {"left": 44, "right": 44, "top": 44, "bottom": 24},
+        "parallel": {"left": 48, "right": 48, "top": 50, "bottom": 16},
         "parallelAxis": axes,
         "series": [
             {
@@ -266,6 +269,9 @@ def diagnostic(run: RunBoard, name: str, unit: str, colours: Colours) -> Options
     )
 
 
+_NUMBER = """(value) => Math.abs(value) >= 1e5
+  ? value.toExponential().replace("e+", "e") : value.toLocaleString("en-US", {useGrouping: false})
+"""
 _ERROR_BAR = """(params, api) => {
   const low = api.coord([api.value(0), api.value(3)]);
   const high = api.coord([api.value(0), api.value(4)]);
@@ -281,7 +287,7 @@ def _options(colours: Colours, **parts: Any) -> Options:
     return {
         "animation": False,
         "backgroundColor": "transparent",
-        "textStyle": {"color": colours.text, "fontFamily": "inherit"},
+        "textStyle": {"color": colours.text, "fontFamily": FONT},
         "tooltip": {"renderMode": "richText", "confine": True, "formatter": "{b}"},
         **parts,
     }
@@ -290,12 +296,13 @@ def _options(colours: Colours, **parts: Any) -> Options:
 def _legend(colours: Colours, names: Sequence[str]) -> Options:
     return {
         "data": [*names],
+        "type": "scroll",
         "top": 4,
         "left": 8,
         "itemGap": 14,
         "itemWidth": 14,
         "selectedMode": False,
-        "textStyle": {"color": colours.text, "fontSize": 13},
+        "textStyle": {"color": colours.text, "fontSize": 14, "fontFamily": FONT},
     }
 
 
@@ -310,8 +317,14 @@ def _axis(name: str, colours: Colours, gap: int, **parts: Any) -> Options:
         "name": name,
         "nameLocation": "middle",
         "nameGap": gap,
-        "nameTextStyle": {"color": colours.text, "fontSize": 14},
-        "axisLabel": {"color": colours.faint, "fontSize": 12, "hideOverlap": True},
+        "nameTextStyle": {"color": colours.text, "fontSize": 15, "fontFamily": FONT},
+        "axisLabel": {
+            "color": colours.faint,
+            "fontSize": 13,
+            "fontFamily": FONT,
+            "hideOverlap": True,
+            ":formatter": _NUMBER,
+        },
         "axisLine": {"lineStyle": {"color": colours.faint}},
         "splitLine": {"lineStyle": {"color": colours.grid}},
         "splitNumber": 4,
@@ -347,8 +360,18 @@ def _parallel_axis(position: int, name: str, unit: str, colours: Colours) -> Opt
         "dim": position,
         "name": f"{name}\n[{unit}]" if unit else name,
         "scale": True,
-        "nameTextStyle": {"color": colours.text, "fontSize": 13},
-        "axisLabel": {"color": colours.faint, "fontSize": 11, "hideOverlap": True},
+        "nameTextStyle": {
+            "color": colours.text,
+            "fontSize": 14,
+            "lineHeight": 17,
+            "fontFamily": FONT,
+        },
+        "axisLabel": {
+            "color": colours.faint,
+            "fontSize": 12,
+            "fontFamily": FONT,
+            "hideOverlap": True,
+        },
         "axisLine": {"lineStyle": {"color": colours.faint}},
         "splitNumber": 3,
     }

@@ -13,6 +13,7 @@ from mobo_tuner.page.board import RunBoard
 from mobo_tuner.page.viewer import Table, Viewer, card
 from mobo_tuner.page.words import measured, number, quantity
 
+STAGNATION = 3  # evaluations without a gain that are worth a word
 EMPTY: charts.Options = {"series": [], "animation": False}
 
 
@@ -79,13 +80,7 @@ class HypervolumePanel:
         """Show the hypervolume as it is now."""
         self._value.set_text(number(run.progress.hypervolume, 4))
         idle = run.without_gain
-        self._gain.set_text(
-            ""
-            if not run.evaluations
-            else f"nothing gained for {idle} evaluations"
-            if idle
-            else "growing"
-        )
+        self._gain.set_text(f"nothing gained for {idle} evaluations" if idle >= STAGNATION else "")
         show(self.chart, charts.hypervolume(run, self._viewer.colours))
 
 
@@ -127,6 +122,7 @@ class PointsPanel:
             self._table = ui.table(
                 columns=[], rows=[], row_key="#", selection="single", on_select=self._select
             )
+            self._table.on("rowClick", self._click, [[], ["#"], None])
             self._table.classes("point-table").props("dense flat virtual-scroll hide-bottom")
 
     def refresh(self, run: RunBoard) -> None:
@@ -155,6 +151,12 @@ class PointsPanel:
         chosen = [row for row in self._shown if row["#"] == self._viewer.chosen]
         if self._table.selected != chosen:
             self._table.selected = [dict(row) for row in chosen]
+
+    def _click(self, event: events.GenericEventArguments) -> None:
+        row = event.args[1] if isinstance(event.args, list) and len(event.args) > 1 else None
+        index = row.get("#") if isinstance(row, dict) else None
+        if isinstance(index, int):
+            self._viewer.choose(index)
 
     def _select(self, event: events.TableSelectionEventArguments) -> None:
         indices = [row.get("#") for row in event.selection]

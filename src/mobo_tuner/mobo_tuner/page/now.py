@@ -10,6 +10,7 @@ from mobo_tuner.page.board import Level
 from mobo_tuner.page.viewer import Table, Viewer, card
 from mobo_tuner.page.words import SYMBOLS, duration, number, quantity, state_of
 
+LEAST_TRAVEL = 0.003  # share of a variable's range below which it counts as staying where it is
 _LEVEL_SYMBOLS: dict[Level, str] = {"ok": "✓", "warning": "!", "error": "✕", "stale": "?"}
 _LEVEL_WORDS: dict[Level, str] = {
     "ok": "good",
@@ -35,8 +36,8 @@ class StatePanel:
             self._bar = ui.linear_progress(0.0, show_value=False, size="10px")
             self._bar.props('aria-label="finished share of the evaluations" instant-feedback')
             with ui.element("div").classes("state-foot"):
-                self._phase = ui.label().classes("phase")
                 self._failure = ui.label().classes("failure")
+                self._phase = ui.label().classes("phase")
             self._hints = ui.label().classes("hints")
 
     def refresh(self) -> None:
@@ -69,14 +70,20 @@ class MotionPanel:
 
     def __init__(self, viewer: Viewer) -> None:
         self._viewer = viewer
-        with card("motion", "What moves") as self._card:
+        with card("motion"):
+            self._title = ui.label().classes("card-title").props('role="heading" aria-level="2"')
             self._table = Table(("name", "way", "here", "share"), "motion-rows")
             self._none = ui.label("The tuner has not moved the machine yet.").classes("quiet")
 
     def refresh(self) -> None:
         """Show the motion as it is now."""
-        motion, run = self._viewer.board.motion, self._viewer.board.run
-        units = run.problem.units if run is not None and run.problem is not None else {}
+        board = self._viewer.board
+        motion, run = board.motion, board.run
+        problem = run.problem if run is not None else None
+        units = problem.units if problem is not None else {}
+        ranges = {v.name: v.maximum - v.minimum for v in problem.variables} if problem else {}
+        active = board.is_running or board.status.state == "moving"
+        self._title.set_text("What moves" if active else "Last move")
         rows = []
         for name, target in motion.target.items():
             unit = units.get(name, "")
@@ -84,6 +91,8 @@ class MotionPanel:
             here = motion.readbacks.get(name, math.nan)
             way = f"{number(start)} → {quantity(target, unit)}"
             share = "" if math.isnan(fraction) else f"{fraction:.0%}"
+            if abs(target - start) < LEAST_TRAVEL * ranges.get(name, 0.0):
+                share = "stays"
             rows.append((name, way, f"now {number(here)}", share))
         self._table.show(rows)
         self._none.set_visibility(not rows)
@@ -102,14 +111,12 @@ class HealthPanel:
         """Show the health as it is now."""
         rows, tones = [], []
         for part in self._viewer.board.parts():
-            extra = [
-                f"{name.partition(' [')[0]} {value} {name.partition(' [')[2].rstrip(']')}"
-                for name, value in part.values.items()
-                if name.startswith("free disk")
-            ]
-            message = "; ".join([part.message, *extra])
             word = f"{_LEVEL_SYMBOLS[part.level]} {_LEVEL_WORDS[part.level]}"
-            rows.append((part.name, word, message))
+            rows.append((part.name, word, part.message))
             tones.append(f"level-{part.level}")
+            free = part.values.get("free disk space [GB]")
+            if free is not None:
+                rows.append((part.name.replace("bag", "disk"), word, f"{free} GB free"))
+                tones.append(f"level-{part.level}")
         self._table.show(rows, tones)
         self._none.set_visibility(not rows)

@@ -28,7 +28,9 @@ class HistoryPanel:
         with ui.element("div").classes("card-head"):
             self._filter = ui.input("filter by id, state or reason", on_change=self.read)
             self._filter.props("dense outlined clearable debounce=300").classes("filter")
-            ui.button("Read again", icon="refresh", on_click=self.read).props("no-caps flat")
+            ui.button("Read again", icon="refresh", on_click=self.read, color=None).props(
+                "no-caps flat"
+            )
         self._table = ui.table(
             columns=[
                 {"name": name, "label": label, "field": name, "align": align, "sortable": True}

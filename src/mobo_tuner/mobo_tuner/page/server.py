@@ -64,7 +64,7 @@ class PageServer:
         self._views: list[View] = []
         config = uvicorn.Config(
             self._application(),
-            log_level="warning",
+            log_level="critical",  # it complains at every end that browsers are still connected
             access_log=False,
             ws_max_size=2**20,
             timeout_graceful_shutdown=0,

@@ -70,7 +70,7 @@ class View:
             self._live = ui.label().classes("live").mark("live")
             if self._viewer.commands is None:
                 ui.label("read only").classes("badge")
-            self._toggle = ui.button(icon="contrast", on_click=self._switch)
+            self._toggle = ui.button(icon="contrast", on_click=self._switch, color=None)
             self._toggle.props('flat round dense aria-label="light or dark"')
 
     def _build_details(self, history: History) -> None:

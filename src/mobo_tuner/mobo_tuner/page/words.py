@@ -19,7 +19,6 @@ SYMBOLS: Mapping[Tone, str] = {
     "bad": "warning",
     "still": "stop",
 }
-_RUNNING = ("suggesting", "evaluating")
 _SENTENCES = {
     "suggesting": "The tuner computes the next set-point; nothing moves.",
     "evaluating": "The machine goes to the next set-point and measures there.",
@@ -27,6 +26,14 @@ _SENTENCES = {
     "paused": "The run is paused: nothing moves until somebody continues it.",
     "canceling": "The run is being canceled.",
     "moving": "The machine is on its way to a working point.",
+}
+_WORDS: Mapping[str, tuple[str, Tone]] = {
+    "suggesting": ("Running", "busy"),
+    "evaluating": ("Running", "busy"),
+    "waiting": ("Waiting", "wait"),
+    "paused": ("Paused", "wait"),
+    "canceling": ("Stopping", "still"),
+    "moving": ("Moving", "busy"),
 }
 _ENDS: Mapping[str, tuple[str, Tone, str]] = {
     "budget": ("Finished", "good", "All evaluations are done; nothing moves."),
@@ -66,11 +73,8 @@ def state_of(board: Board) -> State:
         )
         return State(word, tone, status.message or text)
     text = status.message or _SENTENCES.get(status.state, "")
-    if status.state in _RUNNING:
-        return State("Running", "busy", text)
-    word = {"waiting": "Waiting", "paused": "Paused", "canceling": "Stopping", "moving": "Moving"}
-    tones: Mapping[str, Tone] = {"moving": "busy", "canceling": "still"}
-    return State(word.get(status.state, "Unknown"), tones.get(status.state, "wait"), text)
+    word, tone = _WORDS.get(status.state, ("Unknown", "wait"))
+    return State(word, tone, text)
 
 
 def number(value: float, digits: int = 5) -> str:

@@ -1,0 +1,314 @@
+"""The page in a browser, with a real tuner, the simulated machine and real nodes of the page.
+
+The tests share the nodes and, in their order, one run: it is steered first, then stopped, then gone back to.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from playwright.sync_api import BrowserContext, Page
+
+from launcher.ros_domain import RosDomain
+from mobo_tuner.client import TunerClient
+from robustness.processes import NodeProcess, NodeStarter
+from tests.support.browser import browser, read, until, watched
+
+from tests.support.paths import CONFIG
+from tests.support.processes import wait_until
+
+EVIL = "<img src=x onerror=window.hacked=1>"
+ENDLESS = 5000  # evaluations
+TOKEN = "the-token-of-a-test"
+CONTROL_ROOM = {"width": 1920, "height": 1080}
+
+
+class Stage:
+    """Nodes in a domain of their own, and a client that may start a run."""
+
+    def __init__(self, folder: Path, domain: int) -> None:
+        self.folder = folder
+        self.runs_dir = folder / "runs"
+        self.start = NodeStarter(folder)
+        self._toy = ("--ros-args", "--params-file", str(CONFIG / "toy.yaml"))
+        self.client = TunerClient(domain_id=domain, timeout=30.0)
+        self._pool = ThreadPoolExecutor(1)
+        past = self.runs_dir / "past"
+        past.mkdir(parents=True)
+        facts = {"state": "failed", "started": "2026-01-02T03:04:05+00:00", "reason": EVIL}
+        (past / "run.json").write_text(json.dumps(facts), encoding="utf-8")
+        self.start("-m", "awa_sim_node.node", *self._toy, "-p", "awa_sim:speed:=20.0")
+        self.tuner = self.start_tuner()
+        self.page_process, self.address = self.start_page()
+
+    def start_tuner(self) -> NodeProcess:
+        options = ("-p", f"tuner:runs_dir:={self.runs_dir}", "-p", "tuner:initial_evaluations:=3")
+        return self.start("-m", "mobo_tuner.nodes.tuner", *self._toy, *options)
+
+    def start_page(
+        self, *parameters: str, port: int = 0, **environment: str
+    ) -> tuple[NodeProcess, str]:
+        """A node of the page, and its address."""
+        given = (f"port:={port}", f"runs_dir:={self.runs_dir}", *parameters)
+        options = [word for text in given for word in ("-p", text)]
+        process = self.start("-m", "mobo_tuner.nodes.page", "--ros-args", *options, **environment)
+        wait_until(lambda: "page: " in process.stdout or not process.running, "the page's address")
+        assert process.running, process.stderr
+        found = re.search(r"^page: (http://\S+)$", process.stdout, flags=re.MULTILINE)
+        assert found
+        return process, found[1]
+
+    def tune(self, run_id: str) -> None:
+        """Start a run that does not end of itself."""
+        self._pool.submit(self.client.tune, evaluations=ENDLESS, run_id=run_id)
+
+    def close(self) -> None:
+        self.client.close()
+        for process in self.start.processes:
+            process.kill()
+        self._pool.shutdown()
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+    folder = tmp_path_factory.mktemp("page")
+    with RosDomain() as domain, pytest.MonkeyPatch.context() as patch:
+        for name, value in domain.environment.items():
+            patch.setenv(name, value)
+        patch.setenv("ROS_LOG_DIR", str(folder / "log"))
+        stage = Stage(folder, domain.id)
+        stage.tune("steered")
+        yield stage
+        stage.close()
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BrowserContext]:
+    with browser(tmp_path_factory.mktemp("chromium"), viewport=CONTROL_ROOM) as context:
+        yield context
+
+
+@pytest.fixture(scope="module")
+def shared(stage: Stage, chromium: BrowserContext) -> Page:
+    """The page that all tests but a few look at."""
+    page = chromium.new_page()
+    page.wrong = watched(page)  # type: ignore[attr-defined]
+    page.goto(stage.address)
+    until(page, lambda: count(page) >= 3, "the first evaluations")
+    return page
+
+
+@pytest.fixture
+def page(shared: Page) -> Iterator[Page]:
+    yield shared
+    assert shared.wrong == []  # type: ignore[attr-defined]
+
+
+def count(page: Page) -> int:
+    """Number of finished evaluations that the page shows."""
+    found = re.match(r"(\d+) / \d+", read(page, ".count"))
+    return int(found[1]) if found else 0
+
+
+def word(page: Page) -> str:
+    return read(page, ".state-word")
+
+
+def press(page: Page, text: str) -> None:
+    page.get_by_role("button", name=text, exact=True).click()
+
+
+def answered(page: Page, pattern: str) -> None:
+    """Wait for the answer of the tuner beside the buttons."""
+    until(page, lambda: re.search(pattern, read(page, ".answer")), f"the answer {pattern}")
+
+
+def test_the_page_shows_what_the_tuner_does(stage: Stage, page: Page) -> None:
+    assert word(page) == "Running"
+    assert read(page, ".run-id") == "run steered"
+    assert read(page, ".live") == "● live"
+    assert read(page, ".count").endswith(f"/ {ENDLESS}")
+    motion = read(page, ".motion-rows")
+    assert re.search(r"x1\s+\S+ → \S+\s+now ", motion), motion
+    until(page, lambda: "awa_sim: machine" in read(page, ".health"), "the machine's health")
+    assert "✓ good" in read(page, ".health")
+    until(page, lambda: page.title().startswith("Running"), "the title")
+    with urllib.request.urlopen(stage.address, timeout=10.0) as answer:
+        policy = answer.headers["content-security-policy"]
+    assert "default-src 'self'" in policy
+    assert "frame-ancestors 'none'" in policy
+
+
+def test_a_run_is_paused_stepped_and_continued(page: Page) -> None:
+    press(page, "Pause")
+    until(page, lambda: word(page) == "Paused", "the pause")
+    answered(page, "pause")
+    before = count(page)
+    press(page, "Step")
+    until(page, lambda: count(page) == before + 1 and word(page) == "Paused", "one evaluation")
+    press(page, "Continue")
+    until(page, lambda: word(page) == "Running" and count(page) > before + 1, "the run")
+
+
+def test_a_change_is_refused_with_the_tuners_sentence_or_accepted(stage: Stage, page: Page) -> None:
+    press(page, "Change…")
+    page.get_by_label("new budget of evaluations").fill("1")
+    page.get_by_label("new x1, upper bound").fill("1.5")
+    press(page, "Apply")
+    until(page, lambda: "evaluations is 1;" in read(page, ".change-dialog"), "the refusal")
+    assert stage.client.get("variables.x1.max") == 2.0
+    page.get_by_label("new budget of evaluations").fill("4000")
+    press(page, "Apply")
+    answered(page, r"^changed: ")
+    assert stage.client.get("variables.x1.max") == 1.5
+    until(page, lambda: read(page, ".count").endswith("/ 4000"), "the new budget")
+
+
+def test_a_set_point_of_ones_own_is_evaluated_next(stage: Stage, page: Page) -> None:
+    press(page, "Queue set-point…")
+    page.get_by_label("x1, −2 to 1.5").fill("0.25")
+    page.get_by_label("x2, −2 to 2").fill("7")
+    press(page, "Queue it")
+    until(page, lambda: "x2 is 7" in read(page, ".q-dialog .refused"), "the refusal")
+    page.get_by_label("x2, −2 to 2").fill("-0.125")
+    press(page, "Queue it")
+    answered(page, "is queued")
+
+    def operators() -> list[dict[str, float]]:
+        lines = (stage.runs_dir / "steered" / "journal.jsonl").read_text().splitlines()
+        records = [json.loads(line) for line in lines if line.endswith("}")]
+        return [r["setpoint"] for r in records if r.get("source") == "operator"]
+
+    until(page, lambda: operators() == [{"x1": 0.25, "x2": -0.125}], "its evaluation")
+
+
+def test_a_click_on_the_front_chooses_a_point(page: Page) -> None:
+    press(page, "Pause")
+    until(page, lambda: word(page) == "Paused", "the pause")
+    assert page.get_by_role("button", name="Go to point…", exact=True).is_disabled()
+    page.wait_for_timeout(1000)  # the plots have been drawn for the last time
+    place = page.evaluate(
+        """() => {
+          const element = document.querySelector(".front .chart");
+          const chart = getElement(element.id.slice(1)).chart;
+          const point = chart.getOption().series.find((s) => s.name === "front").data[0].value;
+          const box = element.getBoundingClientRect();
+          const [x, y] = chart.convertToPixel({gridIndex: 0}, point.slice(0, 2));
+          return {x: box.x + x, y: box.y + y, index: point[2]};
+        }"""
+    )
+    page.mouse.click(place["x"], place["y"])
+    chosen = ".point-table tbody tr.selected td:nth-child(2)"
+    page.wait_for_selector(chosen)
+    assert read(page, chosen) == str(place["index"])
+    until(
+        page,
+        lambda: page.get_by_role("button", name="Go to point…", exact=True).is_enabled(),
+        "the button",
+    )
+
+
+def test_what_comes_from_topics_and_files_is_never_read_as_html(stage: Stage, page: Page) -> None:
+    node = stage.client._connection._node
+    publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    status = DiagnosticStatus(level=b"\x02", name=EVIL, message=EVIL)
+    health = page.locator(".health")
+
+    def shown() -> bool:
+        publisher.publish(DiagnosticArray(status=[status]))
+        return health.inner_text().count(EVIL) == 2
+
+    until(page, shown, "the text")
+    page.get_by_role("tab", name="History").click()
+    until(page, lambda: EVIL in read(page, ".history-table"), "the past run")
+    page.get_by_label("filter by id, state or reason").fill("steered")
+    until(page, lambda: "past" not in read(page, ".history-table tbody"), "the filter")
+    assert page.evaluate("window.hacked") is None
+
+
+@pytest.mark.parametrize("tab", ["Variables", "Diagnostics", "Constraints", "All coordinates"])
+def test_every_view_of_the_details_is_drawn(page: Page, tab: str) -> None:
+    page.get_by_role("tab", name=tab).click()
+    if tab == "Constraints":
+        until(page, lambda: "no constraints" in read(page, ".details"), "the sentence")
+    else:
+        page.wait_for_selector(".details canvas")
+
+
+def test_a_run_is_stopped_only_after_a_question(page: Page) -> None:
+    press(page, "Stop…")
+    press(page, "No, go back")
+    assert word(page) == "Paused"
+    press(page, "Stop…")
+    press(page, "Stop the run")
+    until(page, lambda: word(page) == "Stopped", "the end")
+
+
+def test_the_machine_goes_to_the_chosen_point_after_a_list_of_what_moves(page: Page) -> None:
+    chosen = read(page, ".point-table tbody tr.selected td:nth-child(2)")
+    press(page, "Go to point…")
+    dialog = page.locator(".go-dialog")
+    until(page, lambda: f"evaluation {chosen}?" in dialog.inner_text(), "the question")
+    rows = re.findall(r"(x\d)\s+(\S+) → (\S+)\s+(\d+)% of its range", dialog.inner_text())
+    assert [row[0] for row in rows] == ["x1", "x2"]
+    press(page, "Move the machine")
+    answered(page, f"^the machine is at the point of evaluation {chosen}$")
+    for name, _, target, _ in rows:
+        until(
+            page,
+            lambda: re.search(rf"{name}\s+\S+ → {target}\s", read(page, ".motion-rows")),  # noqa: B023
+            f"the move of {name}",
+        )
+
+
+def test_a_tuner_that_dies_is_said_to_be_silent_until_it_is_back(stage: Stage, page: Page) -> None:
+    stage.tuner.kill()
+    until(page, lambda: "stale" in read(page, ".live"), "the age")
+    assert word(page) == "Tuner silent"
+    assert page.get_by_role("button", name="Change…", exact=True).is_disabled()
+    stage.tuner = stage.start_tuner()
+    until(page, lambda: read(page, ".live") == "● live" and word(page) == "Idle", "the tuner")
+
+
+def test_a_page_that_is_restarted_is_found_again(stage: Stage, page: Page) -> None:
+    stage.page_process.popen.send_signal(signal.SIGINT)
+    began = time.monotonic()
+    assert stage.page_process.wait(10.0) == 0
+    assert time.monotonic() - began < 5.0  # 1 s on a quiet machine
+    until(page, lambda: "lost its server" in read(page, "body"), "the warning")
+    port = int(stage.address.rstrip("/").rpartition(":")[2])
+    stage.page_process, _ = stage.start_page(port=port)
+    until(page, lambda: "lost its server" not in read(page, "body"), "the server")
+    until(page, lambda: page.locator(".live.fresh").count() == 1, "the tuner")
+
+
+def test_beyond_this_host_only_who_has_the_token_may_act(
+    stage: Stage, chromium: BrowserContext
+) -> None:
+    _, address = stage.start_page("host:=0.0.0.0", MOBO_PAGE_TOKEN=TOKEN)
+    assert address.endswith(f"/?token={TOKEN}")
+    port = re.search(r":(\d+)/", address)
+    assert port
+    local = f"http://127.0.0.1:{port[1]}/"
+    page = chromium.new_page()
+    page.goto(local)
+    page.wait_for_selector(".badge")
+    assert page.locator(".actions").count() == 0
+    with pytest.raises(urllib.error.HTTPError) as refused:
+        urllib.request.urlopen(f"{local}?token=another", timeout=10.0)
+    assert refused.value.code == 403
+    refused.value.close()
+    page.goto(f"{local}?token={TOKEN}")
+    page.wait_for_selector(".actions")
+    assert page.url == local
+    page.close()
