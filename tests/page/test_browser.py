@@ -16,8 +16,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from playwright.sync_api import BrowserContext, Page
+from rclpy.context import Context
+from rclpy.node import Node
 
 from launcher.ros_domain import RosDomain
 from mobo_tuner.client import TunerClient
@@ -43,6 +46,9 @@ class Stage:
         self._toy = ("--ros-args", "--params-file", str(CONFIG / "toy.yaml"))
         self.client = TunerClient(domain_id=domain, timeout=30.0)
         self._pool = ThreadPoolExecutor(1)
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self.rogue = Node("rogue", context=self._context)
         past = self.runs_dir / "past"
         past.mkdir(parents=True)
         facts = {"state": "failed", "started": "2026-01-02T03:04:05+00:00", "reason": EVIL}
@@ -74,6 +80,8 @@ class Stage:
 
     def close(self) -> None:
         self.client.close()
+        self.rogue.destroy_node()
+        self._context.try_shutdown()
         for process in self.start.processes:
             process.kill()
         self._pool.shutdown()
@@ -219,8 +227,7 @@ def test_a_click_on_the_front_chooses_a_point(page: Page) -> None:
 
 
 def test_what_comes_from_topics_and_files_is_never_read_as_html(stage: Stage, page: Page) -> None:
-    node = stage.client._connection._node
-    publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    publisher = stage.rogue.create_publisher(DiagnosticArray, "/diagnostics", 10)
     status = DiagnosticStatus(level=b"\x02", name=EVIL, message=EVIL)
     health = page.locator(".health")
 

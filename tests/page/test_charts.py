@@ -1,0 +1,162 @@
+"""The plots as data: what is on them for few and many points, failures, and none feasible."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import pytest
+
+from mobo_tuner.client import Evaluation, Front, Point
+from mobo_tuner.core.problem import Problem
+from mobo_tuner.page import charts
+from mobo_tuner.page.board import RunBoard
+
+COLOURS = [charts.DARK, charts.LIGHT]
+
+
+def make_problem(objectives: int, **further: Any) -> Problem:
+    names = [f"f{i}" for i in range(objectives)]
+    return Problem.from_dict(
+        {
+            "variables": {"x": {"min": 0.0, "max": 1.0, "unit": "A"}, "y": {"min": 0, "max": 2}},
+            "objectives": {name: {"reference": 2.0, **further} for name in names},
+            "constraints": {"g": {"max": 0.5}},
+            "observables": {"charge": {"unit": "nC"}},
+        }
+    )
+
+
+def make_evaluation(index: int, objectives: int, kind: str = "feasible") -> Evaluation:
+    values = {f"f{i}": (index % 7) / 7.0 + i / 10.0 for i in range(objectives)}
+    if kind == "failed":
+        values = dict.fromkeys(values, math.nan)
+    diagnostics = {name: (value, 0.1) for name, value in values.items()}
+    return Evaluation(
+        index=index,
+        source="model",
+        attempts=1,
+        stamp=0.0,
+        setpoint={"x": (index % 11) / 11.0, "y": 1.0},
+        readbacks={},
+        diagnostics={**diagnostics, "g": (math.nan if kind == "failed" else 0.2, math.nan)},
+        valid=kind != "failed",
+        feasible=kind == "feasible",
+        non_dominated=False,
+        hypervolume=float(index),
+        hypervolume_measured=float(index),
+        error_code=0,
+        error_msg="",
+        suggest_seconds=0.1,
+        machine_seconds=1.0,
+        total_seconds=1.1,
+        run_id="run",
+        objectives=values,
+        units={},
+    )
+
+
+def make_run(
+    problem: Problem, count: int, kinds: tuple[str, ...] = ("feasible",), points: int = 0
+) -> RunBoard:
+    """A run whose first evaluations are on the front."""
+    run = RunBoard("run")
+    run.problem = problem
+    objectives = len(problem.objectives)
+    for index in range(count):
+        run.add(make_evaluation(index, objectives, kinds[index % len(kinds)]))
+    found = [
+        Point(e.index, e.setpoint, e.objectives, dict.fromkeys(e.objectives, 0.1))
+        for e in run.evaluations[:points]
+    ]
+    run.front = Front("run", tuple(found), 1.0, 1.0, {}, {})
+    return run
+
+
+def series(options: charts.Options, name: str) -> list[Any]:
+    [found] = [s["data"] for s in options["series"] if s.get("name") == name]
+    return list(found)
+
+
+def every_plot(run: RunBoard, colours: charts.Colours) -> list[charts.Options]:
+    assert run.problem is not None
+    names = run.problem.objective_names
+    return [
+        charts.front(run, names[0], names[-1], 0, colours),
+        charts.hypervolume(run, colours),
+        charts.parallel(run, 0, colours),
+        *(charts.variable(run, v, colours) for v in run.problem.variables),
+        *(charts.diagnostic(run, name, "", colours) for name in (*names, "g", "charge")),
+    ]
+
+
+@pytest.mark.parametrize("objectives", [2, 7])
+@pytest.mark.parametrize("count", [0, 1, 5000])
+@pytest.mark.parametrize(
+    "kinds", [("feasible",), ("feasible", "failed", "infeasible"), ("failed",), ("infeasible",)]
+)
+def test_every_plot_is_strict_json_of_a_bounded_size(
+    objectives: int, count: int, kinds: tuple[str, ...]
+) -> None:
+    run = make_run(
+        make_problem(objectives), count, kinds, points=3 if kinds[0] == "feasible" else 0
+    )
+    for colours in COLOURS:
+        for options in every_plot(run, colours):
+            assert len(json.dumps(options, allow_nan=False)) < 200_000
+
+
+def test_a_plot_has_the_same_series_whatever_was_found() -> None:
+    problem = make_problem(2)
+    empty = every_plot(make_run(problem, 0), charts.DARK)
+    full = every_plot(make_run(problem, 50, ("feasible", "failed"), points=5), charts.DARK)
+    for first, second in zip(empty, full, strict=True):
+        assert len(first["series"]) == len(second["series"])
+
+
+def test_the_front_shows_each_evaluation_once_where_it_belongs() -> None:
+    run = make_run(make_problem(2), 9, ("feasible", "infeasible", "failed"), points=2)
+    options = charts.front(run, "f0", "f1", 1, charts.DARK)
+    assert [p["value"][2] for p in series(options, "front")] == [0, 1]
+    assert [p["value"][2] for p in series(options, "feasible")] == [3, 6]
+    assert [p["value"][2] for p in series(options, "infeasible")] == [4, 7]
+    assert series(options, "failed") == []  # they have no place among the objectives
+    assert [p["value"][2] for p in series(options, "chosen")] == [1]
+    assert "x  0 A" in series(options, "front")[0]["name"]
+
+
+def test_a_point_of_the_models_is_told_from_a_measured_one() -> None:
+    run = make_run(make_problem(2), 3, points=1)
+    guessed = Point(2, {"x": 0.5, "y": 1.0}, {"f0": 0.1, "f1": 0.2}, {}, predicted=("f1",))
+    assert run.front is not None
+    run.front = Front("run", (*run.front.points, guessed), 1.0, 1.0, {}, {})
+    options = charts.front(run, "f0", "f1", None, charts.DARK)
+    assert [p["value"][2] for p in series(options, "model")] == [2]
+
+
+def test_the_reference_point_and_the_truncation_box_are_drawn() -> None:
+    problem = make_problem(2, truncation=[0.5, 2.0])
+    options = charts.front(make_run(problem, 3, points=1), "f0", "f1", None, charts.DARK)
+    [front] = [s for s in options["series"] if s["name"] == "front"]
+    assert front["markLine"]["data"] == [{"xAxis": 2.0}, {"yAxis": 2.0}]
+    assert front["markArea"]["data"] == [
+        [{"xAxis": 0.5, "yAxis": 0.5}, {"xAxis": 2.0, "yAxis": 2.0}]
+    ]
+    assert options["xAxis"][0]["max"] > 2.0
+
+
+def test_many_points_are_thinned_out_and_the_last_one_stays() -> None:
+    options = charts.hypervolume(make_run(make_problem(2), 5000), charts.DARK)
+    shown = series(options, "hypervolume")
+    assert len(shown) <= charts.MAX_POINTS
+    assert shown[-1] == [5000, 4999.0]
+
+
+def test_the_limits_of_a_diagnostic_and_its_error_bars_are_drawn() -> None:
+    run = make_run(make_problem(2), 2)
+    options = charts.diagnostic(run, "g", "", charts.DARK)
+    [points] = [s for s in options["series"] if s["name"] == "feasible"]
+    assert points["markLine"]["data"] == [{"yAxis": 0.5}]
+    [bar, _] = series(charts.diagnostic(run, "f0", "", charts.DARK), "standard deviation")
+    assert bar[3:] == pytest.approx([-0.1, 0.1])

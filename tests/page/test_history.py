@@ -1,0 +1,66 @@
+"""The runs of a folder, broken and many."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from launcher import run_folder
+from mobo_tuner.page import history
+from mobo_tuner.page.history import MAX_RUNS, History
+
+
+def make(folder: Path, run_id: str, summary: object = None, **facts: object) -> None:
+    (folder / run_id).mkdir(parents=True)
+    (folder / run_id / "run.json").write_text(json.dumps(facts), encoding="utf-8")
+    if summary is not None:
+        (folder / run_id / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+
+
+def test_the_newest_run_is_first_and_a_text_filters(tmp_path: Path) -> None:
+    make(tmp_path, "a", {"evaluations": 9, "failed": 1, "hypervolume": 2.5}, state="finished")
+    make(tmp_path, "b", started="2026-02-01T00:00:00", state="failed", reason="K1 is stuck")
+    make(tmp_path, "c", started="2026-03-01T00:00:00", state="running")
+    runs = History(tmp_path)
+    assert [run.run_id for run in runs.runs()] == ["c", "b", "a"]
+    assert [run.run_id for run in runs.runs(" k1 IS ")] == ["b"]
+    [finished] = runs.runs("finished")
+    assert (finished.evaluations, finished.failed, finished.hypervolume) == (9, 1, 2.5)
+
+
+def test_what_changes_is_read_again(tmp_path: Path) -> None:
+    make(tmp_path, "a", state="running")
+    runs = History(tmp_path)
+    assert runs.runs()[0].state == "running"
+    (tmp_path / "a" / "run.json").write_text('{"state": "finished"}', encoding="utf-8")
+    assert runs.runs()[0].state == "finished"
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", '{"state": 7, "started": null}', "[" * 9999])
+def test_a_broken_file_hides_no_run(tmp_path: Path, text: str) -> None:
+    make(tmp_path, "a", {"evaluations": "many", "hypervolume": None})
+    (tmp_path / "a" / "run.json").write_text(text, encoding="utf-8")
+    [run] = History(tmp_path).runs()
+    assert run.run_id == "a"
+    assert run.evaluations is None
+
+
+def test_no_folder_has_no_runs(tmp_path: Path) -> None:
+    assert History(None).runs() == History(tmp_path / "missing").runs() == []
+
+
+def test_only_so_many_are_shown(tmp_path: Path) -> None:
+    for number in range(MAX_RUNS + 5):
+        make(tmp_path, f"run{number}", started=f"{number:05}")
+    found = History(tmp_path).runs()
+    assert len(found) == MAX_RUNS
+    assert found[0].run_id == f"run{MAX_RUNS + 4}"
+
+
+def test_entry_script_and_page_read_the_same_files() -> None:
+    assert (history.RUN_FILE, history.SUMMARY_FILE) == (
+        run_folder.RUN_FILE,
+        run_folder.SUMMARY_FILE,
+    )
