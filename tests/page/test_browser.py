@@ -26,7 +26,6 @@ from launcher.ros_domain import RosDomain
 from mobo_tuner.client import TunerClient
 from robustness.processes import NodeProcess, NodeStarter
 from tests.support.browser import browser, read, until, watched
-
 from tests.support.paths import CONFIG
 from tests.support.processes import wait_until
 

@@ -451,8 +451,8 @@ def test_a_killed_entry_script_leaves_no_process(project: FakeProject) -> None:
     process = project.start(
         "run", console="wait", machine="family", tuner="stubborn", recorder="slow"
     )
-    project.wait_for_event("console ready")
-    assert len(project.alive()) == 5
+    project.wait_for_event("console ready", "page ready")
+    assert len(project.alive()) == 6
     process.kill()
     process.communicate(timeout=TIMEOUT)
     wait_until(lambda: project.alive() == [], "the end of everything")
