@@ -14,6 +14,7 @@ import urllib.request
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 import rclpy
@@ -61,7 +62,7 @@ class Stage:
         return self.start("-m", "mobo_tuner.nodes.tuner", *self._toy, *options)
 
     def start_page(
-        self, *parameters: str, port: int = 0, **environment: str
+        self, *parameters: str, port: int = 0, **environment: Any
     ) -> tuple[NodeProcess, str]:
         """A node of the page, and its address."""
         given = (f"port:={port}", f"runs_dir:={self.runs_dir}", *parameters)
@@ -125,6 +126,12 @@ def count(page: Page) -> int:
     """Number of finished evaluations that the page shows."""
     found = re.match(r"(\d+) / \d+", read(page, ".count"))
     return int(found[1]) if found else 0
+
+
+def chosen(page: Page) -> int | None:
+    """Index of the chosen point of the front."""
+    found = re.match(r"Chosen is (\d+):", read(page, ".chosen"))
+    return int(found[1]) if found else None
 
 
 def word(page: Page) -> str:
@@ -208,16 +215,16 @@ def test_a_click_on_the_front_chooses_a_point(page: Page) -> None:
         """() => {
           const element = document.querySelector(".front .chart");
           const chart = getElement(element.id.slice(1)).chart;
-          const point = chart.getOption().series.find((s) => s.name === "front").data[0].value;
+          const points = chart.getOption().series.find((s) => s.name === "front").data;
+          const point = points[points.length - 1].value;  // the one that is drawn last, on top
           const box = element.getBoundingClientRect();
           const [x, y] = chart.convertToPixel({gridIndex: 0}, point.slice(0, 2));
           return {x: box.x + x, y: box.y + y, index: point[2]};
         }"""
     )
     page.mouse.click(place["x"], place["y"])
-    chosen = ".point-table tbody tr.selected td:nth-child(2)"
-    page.wait_for_selector(chosen)
-    assert read(page, chosen) == str(place["index"])
+    until(page, lambda: chosen(page), "the choice")
+    assert chosen(page) == place["index"]
     until(
         page,
         lambda: page.get_by_role("button", name="Go to point…", exact=True).is_enabled(),
@@ -261,14 +268,14 @@ def test_a_run_is_stopped_only_after_a_question(page: Page) -> None:
 
 
 def test_the_machine_goes_to_the_chosen_point_after_a_list_of_what_moves(page: Page) -> None:
-    chosen = read(page, ".point-table tbody tr.selected td:nth-child(2)")
+    index = chosen(page)
     press(page, "Go to point…")
     dialog = page.locator(".go-dialog")
-    until(page, lambda: f"evaluation {chosen}?" in dialog.inner_text(), "the question")
+    until(page, lambda: f"evaluation {index}?" in dialog.inner_text(), "the question")
     rows = re.findall(r"(x\d)\s+(\S+) → (\S+)\s+(\d+)% of its range", dialog.inner_text())
     assert [row[0] for row in rows] == ["x1", "x2"]
     press(page, "Move the machine")
-    answered(page, f"^the machine is at the point of evaluation {chosen}$")
+    answered(page, f"^the machine is at the point of evaluation {index}$")
     for name, _, target, _ in rows:
         until(
             page,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nicegui import events, ui
@@ -119,6 +120,7 @@ class PointsPanel:
         self._shown: list[dict[str, Any]] = []
         self._columns: list[str] = []
         with card("points", "Points of the front"):
+            self._chosen = ui.label().classes("chosen").props('aria-live="polite"')
             self._table = ui.table(
                 columns=[], rows=[], row_key="#", selection="single", on_select=self._select
             )
@@ -148,9 +150,22 @@ class PointsPanel:
         if rows != self._shown:
             self._shown = rows
             self._table.rows = [dict(row) for row in rows]
-        chosen = [row for row in self._shown if row["#"] == self._viewer.chosen]
+        self._show_chosen(points, run.problem.units)
+
+    def _show_chosen(self, points: Sequence[Point], units: Mapping[str, str]) -> None:
+        """Show the chosen point in words and in the table."""
+        index = self._viewer.chosen
+        text = "None is chosen; click on one."
+        for point in points:
+            if point.index == index:
+                values = [f"{n} {quantity(v, units.get(n, ''))}" for n, v in point.setpoint.items()]
+                text = f"Chosen is {index}: {', '.join(values)}"
+        self._chosen.set_text(text)
+        chosen = [row for row in self._shown if row["#"] == index]
         if self._table.selected != chosen:
             self._table.selected = [dict(row) for row in chosen]
+            if chosen:
+                self._table.run_method("scrollTo", self._shown.index(chosen[0]), "center")
 
     def _click(self, event: events.GenericEventArguments) -> None:
         row = event.args[1] if isinstance(event.args, list) and len(event.args) > 1 else None
