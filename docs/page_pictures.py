@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 import shutil
 import signal
@@ -17,10 +18,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
 ROOT = Path(__file__).resolve().parent.parent
 SCREEN, PHONE = (1920, 1080), (412, 915)
+COLOURS = 128  # of a picture
 TIMEOUT = 240.0  # [s] for a run to come to the moment of a picture
 FLAGS = ("--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking")
 
@@ -113,8 +116,11 @@ def take(page: Page, address: str, picture: Picture, folder: Path) -> None:
     page.locator(".point-table tbody tr").nth(3).locator("td").nth(2).click()
     if picture.dialog:
         page.get_by_role("button", name="Go to point…").click()
-    page.wait_for_timeout(1500)
-    page.screenshot(path=folder / f"{picture.name}.png", full_page=picture.whole)
+    page.get_by_text("Chosen is").wait_for()
+    page.wait_for_timeout(3000)  # for the plots
+    page.evaluate("window.scrollTo(0, 0)")
+    image = Image.open(io.BytesIO(page.screenshot(full_page=picture.whole)))
+    image.quantize(COLOURS).save(folder / f"{picture.name}.png", optimize=True)
 
 
 def main() -> None:

@@ -325,7 +325,7 @@ def _axis(name: str, colours: Colours, gap: int, **parts: Any) -> Options:
             "hideOverlap": True,
             ":formatter": _NUMBER,
         },
-        "axisLine": {"lineStyle": {"color": colours.faint}},
+        "axisLine": {"onZero": False, "lineStyle": {"color": colours.faint}},
         "splitLine": {"lineStyle": {"color": colours.grid}},
         "splitNumber": 4,
         "scale": True,

@@ -116,7 +116,8 @@ class HealthPanel:
             tones.append(f"level-{part.level}")
             free = part.values.get("free disk space [GB]")
             if free is not None:
-                rows.append((part.name.replace("bag", "disk"), word, f"{free} GB free"))
+                disk = f"{part.name.partition(': ')[0]}: disk"
+                rows.append((disk, word, f"{free} GB free"))
                 tones.append(f"level-{part.level}")
         self._table.show(rows, tones)
         self._none.set_visibility(not rows)
