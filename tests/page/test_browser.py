@@ -107,19 +107,20 @@ def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BrowserContex
 
 
 @pytest.fixture(scope="module")
-def shared(stage: Stage, chromium: BrowserContext) -> Page:
-    """The page that all tests but a few look at."""
+def shared(stage: Stage, chromium: BrowserContext) -> tuple[Page, list[str]]:
+    """The page that all tests but a few look at, and what it has done wrong."""
     page = chromium.new_page()
-    page.wrong = watched(page)  # type: ignore[attr-defined]
+    wrong = watched(page)
     page.goto(stage.address)
     until(page, lambda: count(page) >= 3, "the first evaluations")
-    return page
+    return page, wrong
 
 
 @pytest.fixture
-def page(shared: Page) -> Iterator[Page]:
-    yield shared
-    assert shared.wrong == []  # type: ignore[attr-defined]
+def page(shared: tuple[Page, list[str]]) -> Iterator[Page]:
+    page, wrong = shared
+    yield page
+    assert wrong == []
 
 
 def count(page: Page) -> int:
