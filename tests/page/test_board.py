@@ -54,6 +54,13 @@ def test_the_state_is_one_word(message: tuple[str, Any], word: str, tone: str) -
         assert state.sentence == message[1].message
 
 
+def test_every_reason_to_stop_has_a_word() -> None:
+    constants = [name for name in dir(msg.TunerStatus) if name.startswith("STOP_REASON_")]
+    for name in constants:
+        reason = getattr(msg.TunerStatus, name)
+        assert state_of(board_of(status(msg.TunerStatus.IDLE, stop_reason=reason))).word != "Idle"
+
+
 def test_silence_counts_more_than_the_last_state() -> None:
     assert state_of(Board()).word == "No tuner"
     old = state_of(board_of(status(), age=12.0))

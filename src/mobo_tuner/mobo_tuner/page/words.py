@@ -38,6 +38,13 @@ _WORDS: Mapping[str, tuple[str, Tone]] = {
 _ENDS: Mapping[str, tuple[str, Tone, str]] = {
     "budget": ("Finished", "good", "All evaluations are done; nothing moves."),
     "hypervolume_goal": ("Finished", "good", "The goal is reached; nothing moves."),
+    "time": ("Finished", "good", "The time of the run is over; nothing moves."),
+    "stagnation": (
+        "Finished",
+        "good",
+        "The last evaluations gained next to nothing; nothing moves.",
+    ),
+    "little_expected": ("Finished", "good", "Little more is expected; nothing moves."),
     "stopped": ("Stopped", "still", "An operator stopped the run; nothing moves."),
     "canceled": ("Canceled", "still", "The run was canceled; nothing moves."),
     "error": ("Failed", "bad", "The run ended with an error."),
