@@ -37,9 +37,9 @@ class Maximum:
     """The best candidate that was found.
 
     Attributes:
-        x: `(d,)`, inside [-1, 1]^d.
-        log_value: logarithm of the acquisition function there, finite.
-        complete: false if the time budget cut the search short.
+        x: Candidate `(d,)` in [-1, 1]^d.
+        log_value: Logarithm of the acquisition function there, finite.
+        complete: Whether the search was not cut short by the time budget.
     """
 
     x: FloatArray
@@ -76,23 +76,23 @@ class Maximizer(ABC):
         """Look for the largest value of an acquisition function.
 
         Args:
-            acquisition: what to maximise.
-            n_variables: d, at least 1.
-            rng: source of all randomness; the same state gives the same result, unless a time
-                budget cuts the search short.
-            starts: `(k, d)` promising points, such as the set-points of the Pareto front.
-            excluded: `(k, d)` points that must not be proposed, such as failed evaluations.
-            tolerance: largest difference to an excluded point that still counts as the same point,
-                in any variable or, `(k, d)`, in each for each point; variables span 2.
-            seconds: time budget [s], None for no limit. The first few points are evaluated whatever
-                it is.
+            acquisition: Acquisition function.
+            n_variables: Number of variables d, at least 1.
+            rng: Random number generator; the same state gives the same result, unless a time budget
+                cuts the search short.
+            starts: Promising points `(k, d)`, such as the set-points of the Pareto front.
+            excluded: Points that must not be proposed `(k, d)`, such as failed evaluations.
+            tolerance: Largest difference to an excluded point that still counts as the same point,
+                in any variable or, as `(k, d)`, in each variable for each point; variables span 2.
+            seconds: Time budget [s], None for no limit. The first few points are evaluated in any
+                case.
 
         Returns:
             The best candidate, or None if the acquisition function was zero wherever it was
-            evaluated. Then something else has to say where to go, exploration for instance.
+            evaluated. Then the candidate must come from elsewhere, for example from exploration.
 
         Raises:
-            ValueError: if an argument does not fit.
+            ValueError: If an argument does not fit.
         """
         search = Search(acquisition, n_variables, excluded, tolerance, seconds)
         seeds = _as_rows(starts, "starts", n_variables)
@@ -138,7 +138,7 @@ class ParticleSwarm(Maximizer):
     )
 
     def explore(self, search: Search, seeds: FloatArray, rng: np.random.Generator) -> None:
-        """Let the swarm fly."""
+        """Move the swarm for all generations."""
         shape = (self.population, search.n_variables)
         fastest = 2.0 * self.largest_step
         x = rng.uniform(-1.0, 1.0, shape)
@@ -273,7 +273,7 @@ class _OutOfTimeError(Exception):
 
 
 class Search:
-    """What a `Maximizer` evaluates by.
+    """The evaluation of points by a `Maximizer`.
 
     It evaluates an acquisition function, watches the clock and keeps the best allowed candidate.
     """
@@ -333,7 +333,7 @@ class Search:
         self._started = True
 
     def _allow(self, x: FloatArray, value: FloatArray) -> FloatArray:
-        """Rule out excluded points and values that are no number, and note the best."""
+        """Rule out excluded points and values that are not numbers, and note the best."""
         allowed = np.where(np.isnan(value), -np.inf, value)
         for point, reach in zip(self._excluded, self._reach, strict=True):
             allowed[(np.abs(x - point) <= reach).all(axis=1)] = -np.inf

@@ -156,7 +156,7 @@ class Archive:
 
     @property
     def belief(self) -> Belief:
-        """What is believed of the evaluations."""
+        """Belief about the evaluations: readings where they can be trusted, else the models' means."""
         if self._belief is None:
             if self.is_certain:
                 self._belief = measured(self.dataset)

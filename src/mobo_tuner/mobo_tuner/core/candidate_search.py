@@ -151,7 +151,7 @@ class CandidateSearch:
 
     @property
     def _seconds_left(self) -> float | None:
-        """Time for the rest of the suggestion [s]; None where there is no limit."""
+        """Time left for the suggestion [s]; None if there is no limit."""
         left = self._deadline - time.monotonic()
         return None if math.isinf(left) else max(left, 0.0)
 
@@ -220,8 +220,8 @@ class CandidateSearch:
     ) -> AcquisitionFunction | None:
         """Return the acquisition function over all that was told, times its factors.
 
-        None where the readings say nothing of where it is large: all objectives read alike, or a
-        constraint that was never met did.
+        It is None if the readings do not show where it is large: the readings of all objectives are
+        alike, or those of a constraint that was never met.
 
         Args:
             nearest: Whether to improve on the evaluation that comes nearest to the reference point.
@@ -240,7 +240,7 @@ class CandidateSearch:
         return reduce(mul, [self._improvement(known, nearest, tails), *factors])
 
     def _factors(self, informed: bool = False) -> list[AcquisitionFunction]:
-        """Return what the improvement is multiplied by.
+        """Return the factors of the improvement.
 
         Args:
             informed: Whether to leave out constraints whose readings do not say where they are met.

@@ -28,8 +28,8 @@ class Evaluation:
         setpoint: Every variable, in physical units.
         values: Diagnostics that were told, in their own units; NaN where not measured.
         stddevs: Their standard deviations; NaN where unknown.
-        readbacks: Where variables were by their own instruments, as far as that was told; the models
-            learn from these in place of the set-point's values.
+        readbacks: Readbacks of variables, as far as they were told; the models learn from them in
+            place of the set-point's values.
         reported_failed: What the machine reported; None where it reported nothing and the values decide.
         failed: Whether the machine reported a failure or, without a report, measured no objective and
             no constrained diagnostic.
@@ -67,8 +67,8 @@ class Dataset:
     """Evaluations in the order in which they were told.
 
     Attributes:
-        problem: the problem to which they belong.
-        evaluations: all of them, failed ones included.
+        problem: Problem to which they belong.
+        evaluations: All evaluations, including failed ones.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -163,7 +163,7 @@ class Dataset:
 
     @property
     def withdrawn(self) -> list[tuple[int, str | None]]:
-        """What `forget` was called with and `unforget` has not taken back."""
+        """Withdrawn evaluations and diagnostics: index, and the diagnostic's name or None for all of it."""
         whole: list[tuple[int, str | None]] = [
             (e.index, None) for e in self.evaluations if e.forgotten
         ]
@@ -213,7 +213,7 @@ class Dataset:
         return x, known
 
     def _measured(self, name: str, value: Measured | None) -> tuple[float, float]:
-        """Mean and standard deviation; NaN where not measured or unknown."""
+        """Return mean and standard deviation; NaN if not measured or unknown."""
         if not isinstance(name, str):
             raise ProblemError(f"the name of an output must be text, not {name!r:.60}")
         if value is None:
@@ -230,17 +230,17 @@ class Dataset:
 
     @property
     def inputs(self) -> Array:
-        """Where all evaluations were, normalised, shape ``(n, d)``: readbacks, or set-points."""
+        """Normalised inputs of all evaluations ``(n, d)``: readbacks where known, else set-points."""
         return self._once("inputs", lambda: self._matrix(self._inputs))
 
     @property
     def targets(self) -> Array:
-        """The set-points of all evaluations, normalised, shape ``(n, d)``."""
+        """Normalised set-points of all evaluations ``(n, d)``."""
         return self._once("targets", lambda: self._matrix(self._targets))
 
     @property
     def failed(self) -> BoolArray:
-        """Which evaluations failed and were not withdrawn, shape ``(n,)``."""
+        """Whether each evaluation failed and was not withdrawn ``(n,)``."""
         return self._once(
             "failed",
             lambda: np.array([e.failed and not e.forgotten for e in self.evaluations], dtype=bool),
@@ -248,39 +248,39 @@ class Dataset:
 
     @property
     def forgotten(self) -> BoolArray:
-        """Which evaluations were withdrawn as a whole, shape ``(n,)``."""
+        """Whether each evaluation was withdrawn as a whole ``(n,)``."""
         return self._once("forgotten", lambda: self._flags(lambda e: e.forgotten))
 
     @property
     def valid(self) -> BoolArray:
-        """Which evaluations neither failed nor were withdrawn, shape ``(n,)``."""
+        """Whether each evaluation neither failed nor was withdrawn ``(n,)``."""
         return self._once("valid", lambda: self._flags(lambda e: e.valid))
 
     @property
     def complete(self) -> BoolArray:
-        """Which evaluations have every objective and constrained diagnostic, shape ``(n,)``."""
+        """Whether each evaluation has every objective and constrained diagnostic ``(n,)``."""
         return self._once("complete", lambda: self._flags(lambda e: e.complete))
 
     @property
     def feasible(self) -> BoolArray:
-        """Which evaluations are complete and meet every constraint, shape ``(n,)``."""
+        """Whether each evaluation is complete and meets every constraint ``(n,)``."""
         return self._once("feasible", lambda: self._flags(lambda e: e.feasible))
 
     @property
     def objectives(self) -> Array:
-        """Minimised objectives of all evaluations, shape ``(n, P)``; NaN where not measured."""
+        """Minimised objectives of all evaluations ``(n, P)``; NaN where not measured."""
         signs = np.array([o.sign for o in self.problem.objectives])
         columns = [self.column(name) for name in self.problem.objective_names]
         return np.column_stack(columns) * signs if columns else np.empty((len(self), 0))
 
     def column(self, name: str) -> Array:
-        """Values of one diagnostic, in its own unit, shape ``(n,)``; NaN where it does not count."""
+        """Return the values of one diagnostic in its unit ``(n,)``; NaN where it does not count."""
         return self._once(
             "column", lambda: np.array([e.value(name) for e in self.evaluations], dtype=float), name
         )
 
     def stddev_column(self, name: str) -> Array:
-        """Standard deviations of one diagnostic, shape ``(n,)``; NaN where unknown."""
+        """Return the standard deviations of one diagnostic ``(n,)``; NaN where unknown."""
         return self._once(
             "stddev",
             lambda: np.array(

@@ -31,7 +31,7 @@ def explore(
     it the corners come first, of which there are many and which stand for little of the space.
 
     Args:
-        inputs: Where the machine was, ``(n, d)``.
+        inputs: Normalised inputs of the evaluations ``(n, d)``.
         taken: What must not be proposed, unless there is nothing else.
         rng: Random number generator.
         log_weight: Logarithm of a weight of the distance at points ``(m, d)``, shape ``(m,)``.

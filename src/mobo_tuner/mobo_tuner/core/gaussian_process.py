@@ -77,15 +77,15 @@ class GaussianProcess:
     Many small predictions in a row are cheaper inside one `single_blas_thread` block.
 
     Args:
-        settings: what is modelled how.
-        reference: the reference point's component, needed by mean="reference".
-        mean: prior mean as a function from inputs `(n, d)` to outputs `(n,)`, in place of the
+        settings: Settings of the model.
+        reference: Component of the reference point, needed by mean="reference".
+        mean: Prior mean as a function from inputs `(n, d)` to outputs `(n,)`, in place of the
             settings' mean and transform.
-        mean_gradient: its gradient, from inputs `(m, d)` to `(m, d)`; central differences without
-            it.
+        mean_gradient: Gradient of `mean`, from inputs `(m, d)` to `(m, d)`; by default central
+            differences.
 
     Raises:
-        ValueError: the reference is missing or not finite, or there is a gradient without a mean.
+        ValueError: If the reference is missing or not finite, or a gradient is given without a mean.
     """
 
     def __init__(
@@ -127,20 +127,20 @@ class GaussianProcess:
         The training starts from the last hyperparameters where there are some.
 
         Args:
-            x: normalised inputs `(n, d)`, n >= 1.
-            y: outputs `(n,)`.
-            stddev: known standard deviations of the outputs `(n,)`; NaN where unknown.
-            rng: draws the random starts; a generator of fixed seed without it.
-            restarts: number of random starts in place of the settings'.
-            most_trained: most observations to train on; all of them without it.
-            seconds: time for the training [s], which ends with what was found.
+            x: Normalised inputs `(n, d)`, n >= 1.
+            y: Outputs `(n,)`.
+            stddev: Known standard deviations of the outputs `(n,)`; NaN where unknown.
+            rng: Random number generator of the random starts; by default one of fixed seed.
+            restarts: Number of random starts in place of the settings'.
+            most_trained: Highest number of observations to train on; by default all.
+            seconds: Time budget of the training [s], which then ends with the best so far.
             noisy: Whether the machine is known to be noisy, which widens the prior of the noise.
 
         Returns:
             The model itself.
 
         Raises:
-            ValueError: an argument has the wrong shape or a value that is not finite.
+            ValueError: If an argument has the wrong shape or a value that is not finite.
         """
         d = None if self._state is None else self._state.posterior.kernel.d
         inputs, outputs, noise = _checked_data(x, y, stddev, d)
@@ -209,15 +209,15 @@ class GaussianProcess:
         Only if the logarithm is modelled and y is not positive, the model is fitted again.
 
         Args:
-            x: normalised input `(d,)`.
-            y: output.
-            stddev: known standard deviation of the output; None or NaN where unknown.
+            x: Normalised input `(d,)`.
+            y: Output.
+            stddev: Known standard deviation of the output; None or NaN if unknown.
 
         Returns:
             The model itself.
 
         Raises:
-            ValueError: an argument is not finite or has the wrong shape.
+            ValueError: If an argument is not finite or has the wrong shape.
         """
         model, posterior, former, former_noise = self._fitted
         known = None if stddev is None else [stddev]
@@ -234,7 +234,7 @@ class GaussianProcess:
     # Predictions.
 
     def predict(self, x: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation `(m,)` of the latent function at x `(m, d)`; O(m n^2).
+        """Return mean and standard deviation `(m,)` of the latent function at x `(m, d)`; O(m n^2).
 
         In the output's units and without the noise of an observation.
         """
@@ -245,7 +245,7 @@ class GaussianProcess:
         return model.scaling.to_output(*model.scaling.unstandardise(inputs, mean, stddev))
 
     def predict_with_gradient(self, x: ArrayLike) -> Prediction:
-        """As `predict`, with the gradients in x; O(m n^2), about twice the time."""
+        """Return the results of `predict` and their gradients in x; O(m n^2), about twice the time."""
         (_, scaling, _), posterior, *_ = self._fitted
         inputs = as_inputs(x, posterior.kernel.d)
         with single_blas_thread():
@@ -260,7 +260,7 @@ class GaussianProcess:
         )
 
     def leave_one_out(self) -> LeaveOneOut:
-        """Every observation predicted from all others with the same hyperparameters; O(n^2)."""
+        """Predict every observation from all others with the same hyperparameters; O(n^2)."""
         (_, scaling, _), posterior, y, _ = self._fitted
         excess, variance = posterior.leave_one_out()
         latent = scaling.unstandardise(posterior.x, posterior.z - excess, np.sqrt(variance))
@@ -360,7 +360,7 @@ class GaussianProcess:
         return 0.5 * float(high - low) or float(np.std(y))
 
     def noise_at(self, x: FloatArray) -> float:
-        """Standard deviation of one observation near x `(d,)`: learned, and known at the nearest one."""
+        """Return the standard deviation of one observation near x `(d,)`: learned, and known at the nearest one."""
         model, posterior, _, stddev = self._fitted
         nearest = int(np.square(posterior.x - x).sum(axis=1).argmin())
         fixed = 0.0 if isinstance(self.settings.noise, str) else self.settings.noise
@@ -370,7 +370,7 @@ class GaussianProcess:
     # State.
 
     def get_state(self) -> dict[str, Any]:
-        """Settings and hyperparameters as plain data for JSON, without the observations."""
+        """Return settings and hyperparameters as data for JSON, without the observations."""
         state: dict[str, Any] = {
             "settings": self.settings.to_dict(),
             "reference": self.reference,
@@ -402,18 +402,18 @@ class GaussianProcess:
         mean: MeanFunction | None = None,
         mean_gradient: MeanFunction | None = None,
     ) -> GaussianProcess:
-        """The model that `get_state` came from, bitwise, given its observations in their order.
+        """Return the model that `get_state` came from, bitwise, given its observations in their order.
 
         Args:
-            state: from `get_state`, also after a passage through JSON.
-            x: normalised inputs `(n, d)` of all observations, those of `add` included.
-            y: outputs `(n,)`.
-            stddev: as in `fit`.
-            mean: the prior mean function again, where there was one.
-            mean_gradient: its gradient again, where there was one.
+            state: State from `get_state`, also after a conversion to JSON and back.
+            x: Normalised inputs `(n, d)` of all observations, including those of `add`.
+            y: Outputs `(n,)`.
+            stddev: Known standard deviations of the outputs, as in `fit`.
+            mean: The prior mean function again, if there was one.
+            mean_gradient: The gradient of `mean` again, if there was one.
 
         Raises:
-            ValueError: the observations do not suit the state, or a mean function is missing.
+            ValueError: If the observations do not suit the state, or a mean function is missing.
         """
         if state["mean_function"] != (mean is not None):
             raise ValueError("mean must be given if and only if the model was made with one")
@@ -468,7 +468,7 @@ class GaussianProcess:
         return _State(model, posterior, y, stddev)
 
     def _noise(self, model: _Model, y: FloatArray, stddev: FloatArray) -> FloatArray:
-        """Variances `(n,)` of the standardised observations, learned and known parts together."""
+        """Return the variances `(n,)` of the standardised observations, learned plus known parts."""
         learned = float(np.exp(model.parameters[-1]))
         return learned + self._known_noise(model.scaling, y, stddev)
 
@@ -477,7 +477,7 @@ class GaussianProcess:
         return scaling.noise_variances(y, np.hypot(stddev, fixed))
 
     def _scalings(self, x: FloatArray, y: FloatArray) -> list[tuple[str, OutputScaling]]:
-        """The ways to model these outputs that the settings allow, by name; at least one."""
+        """Return the scalings of these outputs that the settings allow, by name; at least one."""
         settings, reference = self.settings, self.reference
         if self._mean is not None:
             scaling = OutputScaling.of(x, y, mean=self._mean, mean_gradient=self._mean_gradient)
@@ -506,7 +506,7 @@ class GaussianProcess:
 
 
 def _hyperparameters(values: object, kernel: Kernel) -> FloatArray:
-    """Hyperparameters `(k + 2,)` of a state."""
+    """Return the hyperparameters `(k + 2,)` of a state."""
     parameters = np.array(values, dtype=np.float64)
     if parameters.shape != (kernel.size + 2,) or not (np.abs(parameters) <= 700.0).all():
         raise ValueError(f"hyperparameters must be {kernel.size + 2} logarithms, got {values}")
@@ -516,7 +516,7 @@ def _hyperparameters(values: object, kernel: Kernel) -> FloatArray:
 def _checked_data(
     x: ArrayLike, y: ArrayLike, stddev: ArrayLike | None, d: int | None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Copies of the observations, `(n, d)`, `(n,)` and `(n,)`, the last with 0 where unknown."""
+    """Return copies of the observations `(n, d)`, `(n,)` and `(n,)`, the last with 0 where unknown."""
     inputs = as_inputs(x, d).copy()
     outputs = np.array(y, dtype=np.float64)
     if outputs.ndim != 1 or len(outputs) != len(inputs) or len(outputs) == 0:

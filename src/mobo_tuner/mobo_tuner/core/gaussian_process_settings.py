@@ -137,12 +137,12 @@ class GaussianProcessSettings:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
-        """Return the settings that `to_dict` came from, also after a passage through JSON."""
+        """Return the settings that `to_dict` came from, also after a conversion to JSON and back."""
         return cls(**values)
 
 
 def _is_positive_definite(entries: tuple[float, ...]) -> bool:
-    """Whether the rows of a matrix, one after the other, make a positive definite one."""
+    """Return whether the entries of a matrix, row by row, make a positive definite one."""
     size = math.isqrt(len(entries))
     if size * size != len(entries):
         return False

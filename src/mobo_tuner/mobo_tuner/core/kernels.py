@@ -315,7 +315,7 @@ class RBFFull(Kernel):
         return np.concatenate([triangle[self._rows, self._columns], np.full(self.d, np.log(floor))])
 
     def profile(self, squared_distance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """`g = w = exp(-r^2 / 2)`."""
+        """Return `g = w = exp(-r^2 / 2)`."""
         value = np.exp(-0.5 * squared_distance)
         return value, value
 

@@ -44,13 +44,13 @@ class Models:
     they are minimised. A constraint on an objective shares its model.
 
     Args:
-        problem: whose quantities are modelled.
-        settings: how.
-        seed: of the random starts of training.
-        prior_means: for some quantities a function that predicts them, see `PriorMean`.
+        problem: Problem whose quantities are modelled.
+        settings: Settings of the optimiser.
+        seed: Seed of the random starts of training.
+        prior_means: Functions that predict some quantities, see `PriorMean`.
 
     Raises:
-        ProblemError: a prior mean is given for a quantity that is not modelled.
+        ProblemError: If a prior mean is given for a quantity that is not modelled.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class Models:
         self._noise_evidence = 0.0  # of all outputs together, at the last training
 
     def _mean_function(self, name: str, prior_mean: PriorMean) -> MeanFunction:
-        """The prior mean of what is modelled, on normalised inputs."""
+        """Return the prior mean of what is modelled, as a function of normalised inputs."""
         sign = self._signs.get(name, 1.0)
         if not callable(prior_mean):
             raise ProblemError(f"the prior mean of '{name}' must be a function")
@@ -140,7 +140,7 @@ class Models:
 
     @property
     def known(self) -> BoolArray:
-        """Which objectives were measured at least once, shape ``(P,)``."""
+        """Whether each objective was measured at least once ``(P,)``."""
         return np.array([model.n > 0 for model in self.objectives], dtype=bool)
 
     @property
@@ -421,7 +421,7 @@ class Models:
         self._outdated = self._judged > 0
 
     def _observations(self, name: str, data: Dataset) -> tuple[Array, Array]:
-        """Values as they are modelled and their standard deviations, ``(n,)`` each; NaN for suspects."""
+        """Return modelled values and their standard deviations ``(n,)`` each; NaN for suspects."""
         y = data.column(name) * self._signs.get(name, 1.0)
         y[self.suspects(name)] = np.nan
         return y, data.stddev_column(name)
@@ -483,10 +483,10 @@ class Models:
 
 
 def _is_time_to_restart(trained: int, count: int) -> bool:
-    """Whether a training of `count` evaluations, the last one of `trained`, tries random starts too.
+    """Return whether a training of `count` evaluations, the last one of `trained`, tries random starts.
 
-    Where the last optimum is a poor one, a few more evaluations seldom show it, and a random start costs more than
-    to go on from there: it is tried whenever there are a fifth more evaluations.
+    If the last optimum is a poor one, a few more evaluations seldom show it, and a random start costs
+    more than to continue from there: it is tried whenever there are a fifth more evaluations.
     """
     return trained == 0 or int(_log_in_fifths(count)) > int(_log_in_fifths(trained))
 

@@ -1,4 +1,4 @@
-"""Between an output in its own units and the standardised residual a Gaussian process works on."""
+"""Scaling of an output in its own units to the standardised residual that a Gaussian process models."""
 
 from __future__ import annotations
 
@@ -26,12 +26,11 @@ class OutputScaling:
     """`z = (t(y) - m(x)) / scale`, with t the identity or the logarithm and m the prior mean.
 
     Attributes:
-        log: t is the logarithm.
-        offset: the prior mean where it is a constant, in units of t(y).
-        scale: standard deviation of `t(y) - m(x)` over the observations, positive.
-        mean: the prior mean where it is a function of the inputs `(n, d) -> (n,)`; offset is 0
-            then.
-        mean_gradient: its gradient `(m, d) -> (m, d)`; central differences without it.
+        log: Whether t is the logarithm.
+        offset: Prior mean if it is a constant, in units of t(y).
+        scale: Standard deviation of `t(y) - m(x)` over the observations, positive.
+        mean: Prior mean if it is a function of the inputs `(n, d) -> (n,)`; then `offset` is 0.
+        mean_gradient: Gradient of `mean` `(m, d) -> (m, d)`; by default central differences.
     """
 
     log: bool
@@ -51,11 +50,19 @@ class OutputScaling:
         mean: MeanFunction | None = None,
         mean_gradient: MeanFunction | None = None,
     ) -> OutputScaling:
-        """The scaling that suits the observations x `(n, d)`, y `(n,)`; offset None: the data mean.
+        """Return the scaling that suits observations.
 
-        Where all residuals are the same, to rounding, nothing says how much the function varies:
-        their distance from the prior mean is taken, or, where that is nothing either, 1 / n of the
-        outputs' magnitude.
+        If all residuals are the same, to rounding, nothing shows how much the function varies: the
+        scale is then their distance from the prior mean or, if that is zero too, 1 / n of the outputs'
+        magnitude.
+
+        Args:
+            x: Normalised inputs `(n, d)`.
+            y: Outputs `(n,)`.
+            offset: Constant prior mean, in units of t(y); None for the mean of the data.
+            log: Whether t is the logarithm.
+            mean: Prior mean as a function, in place of `offset`.
+            mean_gradient: Gradient of `mean`.
         """
         values = np.log(y) if log else y
         if mean is not None:
@@ -73,7 +80,7 @@ class OutputScaling:
         return cls(log, offset, 1.0 / len(y), mean, mean_gradient)
 
     def prior_mean(self, x: FloatArray) -> FloatArray:
-        """The prior mean m(x) at x `(m, d)`, `(m,)`, in units of t(y)."""
+        """Return the prior mean m(x) `(m,)` at x `(m, d)`, in units of t(y)."""
         if self.mean is None:
             return np.full(len(x), self.offset)
         values = np.asarray(self.mean(x), dtype=np.float64)
@@ -84,7 +91,7 @@ class OutputScaling:
         return values
 
     def prior_mean_gradient(self, x: FloatArray) -> FloatArray:
-        """Gradient of the prior mean in x at x `(m, d)`, `(m, d)`."""
+        """Return the gradient of the prior mean in x `(m, d)` at x `(m, d)`."""
         if self.mean is None:
             return np.zeros_like(x)
         if self.mean_gradient is not None:
@@ -104,27 +111,27 @@ class OutputScaling:
         return gradient
 
     def standardise(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Residuals z `(n,)` of the observations x `(n, d)`, y `(n,)`."""
+        """Return the residuals z `(n,)` of the observations x `(n, d)`, y `(n,)`."""
         return ((np.log(y) if self.log else y) - self.prior_mean(x)) / self.scale
 
     def unstandardise(
         self, x: FloatArray, mean: FloatArray, stddev: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of t(y) at x `(m, d)` from those of z, `(m,)` each."""
+        """Return mean and standard deviation of t(y) at x `(m, d)` from those of z, `(m,)` each."""
         return self.prior_mean(x) + self.scale * mean, self.scale * stddev
 
     def noise_variances(self, y: FloatArray, stddev: FloatArray) -> FloatArray:
-        """Variances of z `(n,)` from standard deviations of y, to first order for the log."""
+        """Return variances of z `(n,)` from standard deviations of y, to first order for the log."""
         unit = self.scale * np.abs(y) if self.log else self.scale
         with np.errstate(over="ignore"):
             return np.asarray(np.minimum(np.square(stddev / unit), _LARGEST_VARIANCE))
 
     def log_slope(self, y: FloatArray) -> FloatArray:
-        """`log |dz/dy|` `(n,)`, which turns log densities of z into those of y."""
+        """Return `log |dz/dy|` `(n,)`, which turns log densities of z into those of y."""
         return np.asarray(-np.log(self.scale) - (np.log(y) if self.log else np.zeros_like(y)))
 
     def to_output(self, mean: FloatArray, stddev: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of y, each `(m,)`, from those of t(y), mu and s.
+        """Return mean and standard deviation of y, `(m,)` each, from those of t(y), mu and s.
 
         Under the logarithm, the Gaussian that shares the log-normal's median and its quantile one
         standard deviation below: `exp(mu)` and `exp(mu) (1 - exp(-s))`. An acquisition function of
@@ -146,7 +153,7 @@ class OutputScaling:
         mean_gradient: FloatArray,
         stddev_gradient: FloatArray,
     ) -> tuple[FloatArray, FloatArray]:
-        """Gradients in x of `to_output`, each `(m, d)`, from those of its arguments."""
+        """Return the gradients in x of `to_output`, `(m, d)` each, from those of its arguments."""
         if not self.log:
             return mean_gradient, stddev_gradient
         median, spread = self.to_output(mean, stddev)

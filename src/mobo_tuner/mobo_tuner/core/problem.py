@@ -1,7 +1,7 @@
 """The problem: what may be changed, what is wanted, and what must hold.
 
-This is the one place where set-points are scaled to ``[-1, 1]`` and where a maximised objective is
-turned round: everything else in the core minimises, as [Roussel2021]_ does.
+This is the only place that scales set-points to ``[-1, 1]`` and changes the sign of a maximised
+objective: everything else in the core minimises, as [Roussel2021]_ does.
 
 .. [Roussel2021] R. Roussel, A. Hanuka, A. Edelen, "Multiobjective Bayesian optimization for online
    accelerator tuning", Phys. Rev. Accel. Beams 24, 062801 (2021).
@@ -87,10 +87,13 @@ class Problem:
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> Problem:
-        """Read a ROS parameter file, or a file that holds the bare mapping.
+        """Read a ROS parameter file, or a file with the mapping alone.
+
+        Args:
+            path: File.
 
         Raises:
-            ProblemError: the file cannot be read, or what it holds is not a problem.
+            ProblemError: If the file cannot be read or does not define a problem.
         """
         try:
             content = load_yaml(path)
@@ -102,8 +105,12 @@ class Problem:
     def from_dict(cls, mapping: Mapping[str, Any]) -> Problem:
         """Build a problem from nested mappings, as in a parameter file.
 
+        Args:
+            mapping: Content of a ROS parameter file, or the four sections alone.
+
         Raises:
-            ProblemError: a key is unknown or missing, or a value is of the wrong type or not allowed.
+            ProblemError: If a key is unknown or missing, or a value has the wrong type or is not
+                allowed.
         """
         problem = cls(*read_definition(mapping))
         measured = {*problem.objective_names, *(o.name for o in problem.observables)}
@@ -123,7 +130,7 @@ class Problem:
         return problem
 
     def to_dict(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """The mapping from which :meth:`from_dict` builds an equal problem."""
+        """Return the mapping from which :meth:`from_dict` builds an equal problem."""
         return definition_of(
             Quantities(self.variables, self.objectives, self.constraints, self.observables)
         )
@@ -164,18 +171,18 @@ class Problem:
     ) -> Problem:
         """Return the problem with the components of the reference point that were left out.
 
-        Each is a tenth of the readings' range worse than the worst reading that is feasible, or valid
-        where none is. The readings are those of the initial design, and of as few evaluations after
-        it as it takes to measure every objective; so the answer stays what it is.
+        Each is a tenth of the readings' range worse than the worst feasible reading or, if none is
+        feasible, the worst valid one. The readings are those of the initial design and of as few
+        evaluations after it as are needed to measure every objective, so that the result is final.
 
         Args:
             objectives: Minimised objectives of the evaluations so far ``(n, P)``, NaN where not measured.
-            valid: Which evaluations are valid ``(n,)``.
-            feasible: Which of them are feasible ``(n,)``.
+            valid: Whether each evaluation is valid ``(n,)``.
+            feasible: Whether each evaluation is feasible ``(n,)``.
             initial: Number of evaluations of the initial design.
 
         Returns:
-            The problem itself where nothing was left out, or too little was measured so far.
+            The problem; the same one if nothing was left out, or too little was measured so far.
         """
         if self.has_references:
             return self
@@ -199,11 +206,11 @@ class Problem:
 
     @property
     def largest_reading(self) -> float:
-        """Largest magnitude of a reading: the hypervolume is a product of as many as objectives."""
+        """Largest magnitude of a reading, so that the hypervolume, a product of P of them, is finite."""
         return float(min(LARGEST, 10.0 ** (290.0 / len(self.objectives))))
 
     def is_reading(self, name: str, value: float) -> bool:
-        """Whether a value of a diagnostic was measured: finite, and not a sentinel."""
+        """Return whether a value of a diagnostic was measured: it is finite and not a sentinel."""
         if not abs(value) <= self.largest_reading:
             return False
         quantities: list[Objective | Constraint | Observable] = [
@@ -216,12 +223,12 @@ class Problem:
 
     @property
     def reference_point(self) -> Array:
-        """Reference point of the minimised objectives, shape ``(P,)``."""
+        """Reference point of the minimised objectives ``(P,)``."""
         return np.array([o.sign * o.reference for o in self.objectives])
 
     @property
     def truncation_lower(self) -> Array:
-        """Lower corner A of the minimised objectives' truncation box, shape ``(P,)``; -inf if none."""
+        """Lower corner A of the truncation box of the minimised objectives ``(P,)``; -inf if none."""
         return np.array(
             [
                 -math.inf if o.truncation is None else min(o.sign * t for t in o.truncation)
@@ -230,10 +237,13 @@ class Problem:
         )
 
     def normalize(self, setpoint: Mapping[str, float]) -> Array:
-        """Scale a set-point in physical units to ``[-1, 1]``, shape ``(d,)``.
+        """Return a set-point in physical units scaled to ``[-1, 1]``, ``(d,)``.
+
+        Args:
+            setpoint: Value of each variable, in its unit.
 
         Raises:
-            ProblemError: a variable is missing or unknown, its value is not a finite number, or it is
+            ProblemError: If a variable is missing or unknown, or its value is not a finite number or
                 farther from the bounds than `FARTHEST`.
         """
         if not isinstance(setpoint, Mapping):
@@ -255,7 +265,7 @@ class Problem:
         return np.array(values)
 
     def denormalize(self, x: Array) -> dict[str, float]:
-        """Turn ``x`` in ``[-1, 1]``, shape ``(d,)``, into a set-point inside the bounds."""
+        """Return the set-point inside the bounds, in physical units, for ``x`` ``(d,)`` in ``[-1, 1]``."""
         return {
             v.name: min(
                 max(v.minimum + 0.5 * (float(xi) + 1.0) * (v.maximum - v.minimum), v.minimum),
@@ -265,14 +275,14 @@ class Problem:
         }
 
     def columns(self, x: Array) -> dict[str, Array]:
-        """Set-points ``x`` in ``[-1, 1]``, shape ``(n, d)``, as one array ``(n,)`` per variable."""
+        """Return set-points ``x`` ``(n, d)`` in ``[-1, 1]`` as one array ``(n,)`` per variable, in its unit."""
         return {
             v.name: v.minimum + 0.5 * (x[:, j] + 1.0) * (v.maximum - v.minimum)
             for j, v in enumerate(self.variables)
         }
 
     def is_feasible(self, values: Mapping[str, float]) -> bool:
-        """Whether measured `values` meet every constraint."""
+        """Return whether measured `values` meet every constraint."""
         return all(c.is_met(values.get(c.name, math.nan)) for c in self.constraints)
 
     def check_machine(
@@ -281,17 +291,16 @@ class Problem:
         diagnostics: Mapping[str, str],
         variable_units: Mapping[str, str],
     ) -> None:
-        """Check that a machine can play this problem.
+        """Check that a machine suits this problem.
 
         Args:
-            limits: the machine's variables with their hard limits.
-            diagnostics: the names of what it measures, with their units.
-            variable_units: the units of its variables.
+            limits: Hard limits of the machine's variables, by name.
+            diagnostics: Units of the machine's diagnostics, by name.
+            variable_units: Units of the machine's variables, by name.
 
         Raises:
-            ProblemError: it lacks a variable or a diagnostic, its limits are narrower than the
-                bounds, it needs a variable that the problem does not set, or it speaks of one of
-                them in another unit.
+            ProblemError: If the machine lacks a variable or a diagnostic, its limits are narrower than
+                the bounds, it needs a variable that the problem does not set, or a unit differs.
         """
         for variable in self.variables:
             if variable.name not in limits:

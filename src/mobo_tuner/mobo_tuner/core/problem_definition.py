@@ -87,7 +87,7 @@ def definition_of(quantities: Quantities) -> dict[str, dict[str, dict[str, Any]]
 
 
 def _problem_parameters(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The problem's own mapping, out of a ROS parameter file's ``/**`` section where it is one."""
+    """Return the mapping of the problem, which a ROS parameter file has in its section ``/**``."""
     if not isinstance(mapping, Mapping):
         raise ProblemError(f"the problem must be a mapping, not {describe(mapping)}")
     section = mapping.get("/**")

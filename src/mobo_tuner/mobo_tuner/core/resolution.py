@@ -30,7 +30,7 @@ class Taken:
     """Boxes of set-points that lead where the machine already was.
 
     Attributes:
-        centers: Where it was, and what it was sent to, ``(k, d)``.
+        centers: Inputs and set-points of the evaluations ``(k, d)``.
         reach: Half the width of each box in each variable, ``(k, d)``.
     """
 
@@ -77,8 +77,8 @@ def grid_steps(inputs: Array, targets: Array) -> Array:
     the grids of which that is true, it is the finest: it rules out least.
 
     Args:
-        inputs: Where the machine was, ``(n, d)``, the last one last.
-        targets: Where it was sent, ``(n, d)``.
+        inputs: Normalised inputs ``(n, d)``, in the order of the evaluations.
+        targets: Normalised set-points ``(n, d)``.
     """
     steps = np.zeros(inputs.shape[1])
     inputs, targets = inputs[-_ROWS:], targets[-_ROWS:]

@@ -43,12 +43,12 @@ class NegativeLogPosterior:
     Hyperparameters `(k + 2,)`: the kernel's k shape parameters, `log s^2`, `log noise` (variances).
 
     Args:
-        kernel: covariance function of d inputs.
-        x: normalised inputs `(n, d)`.
-        z: standardised outputs less the prior mean `(n,)`.
-        extra: known noise variances `(n,)`, in the units of z squared.
-        weak_prior: add the kernel's prior, a log-normal one of the noise around 1e-4, and one of
-            the signal variance around the mean square of z.
+        kernel: Covariance function of d inputs.
+        x: Normalised inputs `(n, d)`.
+        z: Standardised outputs less the prior mean `(n,)`.
+        extra: Known noise variances `(n,)`, in the units of z squared.
+        weak_prior: Whether to add the kernel's prior, a log-normal prior of the noise around 1e-4, and
+            one of the signal variance around the mean square of z.
         noisy: Whether the machine is known to be noisy: then the prior of the noise is wide.
     """
 
@@ -69,7 +69,7 @@ class NegativeLogPosterior:
         self._prior_stddev = np.array([_VARIANCE_PRIOR_STDDEV, prior[1]])
 
     def __call__(self, parameters: FloatArray) -> tuple[float, FloatArray]:
-        """Value and gradient `(k + 2,)`; O(n^3 + n^2 d)."""
+        """Return value and gradient `(k + 2,)`; O(n^3 + n^2 d)."""
         n = len(self.z)
         shape, variance, noise = parameters[:-2], np.exp(parameters[-2]), np.exp(parameters[-1])
         covariance, slope = self._upper_triangles(shape, float(variance))
@@ -104,9 +104,9 @@ class NegativeLogPosterior:
         return value / n, gradient / n
 
     def _upper_triangles(self, shape: FloatArray, variance: float) -> tuple[FloatArray, FloatArray]:
-        """The kernel's covariance, and s^2 times its slope with a diagonal of zeros, `(n, n)` each.
+        """Return the kernel's covariance, and s^2 times its slope with a diagonal of zeros, `(n, n)` each.
 
-        In blocks that fit the processor's cache, and right of the diagonal only.
+        They are computed in blocks that fit the processor's cache, and right of the diagonal only.
         """
         n = len(self.z)
         covariance, slope = np.zeros((n, n)), np.zeros((n, n))
@@ -126,7 +126,7 @@ class NegativeLogPosterior:
         return 0.5 * float(((log_noise - self._prior_mean[1]) / self._prior_stddev[1]) ** 2)
 
     def bounds(self, minimum_noise: float) -> FloatArray:
-        """Lowest and highest allowed hyperparameters, `(k + 2, 2)`."""
+        """Return the lowest and highest allowed hyperparameters `(k + 2, 2)`."""
         others = [
             self.log_mean_square + np.log([1e-3, 1e4]),
             np.log([minimum_noise, max(1.0, 2.0 * minimum_noise)]),
@@ -134,12 +134,12 @@ class NegativeLogPosterior:
         return np.vstack([self.kernel.bounds(), others])
 
     def default_parameters(self) -> FloatArray:
-        """Where a first training starts, `(k + 2,)`."""
+        """Return the start of a first training `(k + 2,)`."""
         return np.append(self.kernel.default_parameters(), [self.log_mean_square, _NOISE_PRIOR[0]])
 
 
 def _row_blocks(n: int) -> Iterator[tuple[slice, slice]]:
-    """Rows of an `(n, n)` matrix by the block, with the columns from their diagonal on."""
+    """Yield blocks of rows of an `(n, n)` matrix, with the columns from their diagonal on."""
     for start in range(0, n, _BLOCK):
         yield slice(start, min(start + _BLOCK, n)), slice(start, n)
 
@@ -153,17 +153,17 @@ def train_lbfgs(
     iterations: int = 100,
     deadline: float = np.inf,
 ) -> tuple[FloatArray, float]:
-    """Best hyperparameters and their value by L-BFGS-B from every start.
+    """Return the best hyperparameters and their value by L-BFGS-B from every start.
 
     Args:
-        objective: value and gradient `(k,)` at a vector `(k,)`.
-        starts: `(r, k)`, r >= 1.
-        bounds: `(k, 2)`.
-        free: which of the k may move `(k,)`; the others stay as in the first start.
-        tolerance: a start is done when a step gains less than this in the value (relative to the
-            value where that is above 1), or no derivative exceeds ten times this.
-        iterations: most iterations from each start.
-        deadline: when to stop with what was found [s], of `time.monotonic`.
+        objective: Function that returns value and gradient `(k,)` at a vector `(k,)`.
+        starts: Starts `(r, k)`, r >= 1.
+        bounds: Lowest and highest allowed values `(k, 2)`.
+        free: Whether each of the k may move `(k,)`; the others stay as in the first start.
+        tolerance: Gain in the value (relative to it, if it is above 1) below which a start is done, or
+            a tenth of the largest derivative at which it is.
+        iterations: Highest number of iterations from each start.
+        deadline: Time at which to stop with the best so far [s], of `time.monotonic`.
     """
     best, best_value = np.array(starts[0]), np.inf
     if not free.any():
@@ -215,7 +215,7 @@ def train_adam(
     steps: int,
     deadline: float = np.inf,
 ) -> tuple[FloatArray, float]:
-    """Hyperparameters and their value after a number of Adam steps, `[Kingma2015]_` Algorithm 1.
+    """Return hyperparameters and their value after a number of Adam steps, `[Kingma2015]_` Algorithm 1.
 
     The arguments are those of `train_lbfgs`, but for one start `(k,)`, the learning rate and the
     number of steps. A step that leaves the bounds ends on them.
@@ -238,15 +238,15 @@ def train_adam(
 def held_parameters(
     settings: GaussianProcessSettings, kernel: Kernel, scale: float
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Hyperparameters that the settings hold, and which ones are free, `(k + 2,)` each.
+    """Return the hyperparameters that the settings hold, and which ones are free, `(k + 2,)` each.
 
     Args:
-        settings: with the held values in normalised inputs and the output's units.
-        kernel: covariance function of d inputs.
-        scale: the output's units in one standardised unit.
+        settings: Settings, with the held values in normalised inputs and the output's units.
+        kernel: Covariance function of d inputs.
+        scale: Size of one standardised unit in the output's units.
 
     Raises:
-        ValueError: the held length-scales or precision matrix are not of d inputs.
+        ValueError: If the held length-scales or precision matrix are not of d inputs.
     """
     held = np.zeros(kernel.size + 2)
     free = np.ones(kernel.size + 2, dtype=np.bool_)
@@ -276,22 +276,22 @@ def train(
     deadline: float = np.inf,
     noisy: bool = False,
 ) -> FloatArray:
-    """Hyperparameters `(k + 2,)` for standardised observations, as the settings say.
+    """Return the hyperparameters `(k + 2,)` for standardised observations, trained as the settings say.
 
-    Without a second observation, where z is all zero, or where every hyperparameter is held, there
-    is nothing to learn: the start is returned.
+    If there is only one observation, z is all zero, or every hyperparameter is held, there is nothing
+    to learn: the start is returned.
 
     Args:
-        settings: held values, bounds, kind of training.
-        kernel: covariance function of d inputs.
-        scale: the output's units in one unit of z.
-        x: normalised inputs `(n, d)`.
-        z: standardised outputs less the prior mean `(n,)`.
-        extra: known variances of z `(n,)`.
-        former: where to start, from the last training.
-        rng: draws the other starts.
-        restarts: how many of them.
-        deadline: when to stop with what was found [s], of `time.monotonic`.
+        settings: Settings: held values, bounds, kind of training.
+        kernel: Covariance function of d inputs.
+        scale: Size of one unit of z in the output's units.
+        x: Normalised inputs `(n, d)`.
+        z: Standardised outputs less the prior mean `(n,)`.
+        extra: Known variances of z `(n,)`.
+        former: Hyperparameters of the last training, from which this one starts, if any.
+        rng: Random number generator of the other starts.
+        restarts: Number of the other starts.
+        deadline: Time at which to stop with the best so far [s], of `time.monotonic`.
         noisy: Whether the machine is known to be noisy.
     """
     objective = NegativeLogPosterior(kernel, x, z, extra, settings.prior == "weak", noisy)
@@ -327,10 +327,10 @@ def _best_start(
     keep_first: bool,
     deadline: float,
 ) -> FloatArray:
-    """The one of the starts `(r, k)`, improved on a subset of the observations, `(1, k)`.
+    """Return the best one `(1, k)` of the starts `(r, k)`, improved on a subset of the observations.
 
-    The first is left as it is if told so. Trained on all observations every start would cost as
-    much as the one that wins.
+    With `keep_first`, the first is not changed. If every start were trained on all observations, each
+    would cost as much as the winner.
     """
     part = slice(None, None, -(-len(objective.z) // _SUBSET))
     subset = NegativeLogPosterior(

@@ -70,15 +70,14 @@ class ValidityModel:
         than at the last training: some tens of steps of O(n^3). Otherwise a few such steps.
 
         Args:
-            x: normalised inputs `(n, d)`, n >= 1.
-            valid: which evaluations were valid, booleans `(n,)`.
+            x: Normalised inputs `(n, d)`, n >= 1.
+            valid: Whether each evaluation was valid, booleans `(n,)`.
 
         Returns:
             The model itself.
 
         Raises:
-            ValueError: an argument has the wrong shape or type, or the inputs a value that is not
-                finite.
+            ValueError: If an argument has the wrong shape or type, or an input is not finite.
         """
         inputs, outcomes = _checked_outcomes(x, valid, self._d)
         self._d = inputs.shape[1]
@@ -103,7 +102,7 @@ class ValidityModel:
         return self
 
     def predict_log_probability(self, x: ArrayLike) -> FloatArray:
-        """Logarithm of the probability `(m,)` that an evaluation at x `(m, d)` is valid; O(m n^2)."""
+        """Return the log probability `(m,)` that an evaluation at x `(m, d)` is valid; O(m n^2)."""
         inputs = self._checked(x)
         if self._posterior is None:
             return np.zeros(len(inputs))
@@ -112,7 +111,7 @@ class ValidityModel:
         return np.asarray(log_ndtr((self._posterior.offset + mean) / np.hypot(1.0, stddev)))
 
     def predict_log_probability_with_gradient(self, x: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """As `predict_log_probability`, with its gradient in x `(m, d)`."""
+        """Return the result of `predict_log_probability` and its gradient in x `(m, d)`."""
         inputs = self._checked(x)
         if self._posterior is None:
             return np.zeros(len(inputs)), np.zeros_like(inputs)
@@ -141,7 +140,7 @@ class ValidityModel:
         return self._with_chance(log_ratio - np.logaddexp(0.0, lack))
 
     def log_weight_with_gradient(self, x: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """As `log_weight`, with its gradient in x `(m, d)`."""
+        """Return the result of `log_weight` and its gradient in x `(m, d)`."""
         log_ratio, gradient = self.predict_log_probability_with_gradient(x)
         if self._posterior is None:
             return log_ratio, gradient
@@ -160,7 +159,7 @@ class ValidityModel:
         return np.asarray(np.logaddexp(log_by_chance, log_caused + log_weight))
 
     def get_state(self) -> dict[str, Any]:
-        """Hyperparameters as plain data for JSON, without the evaluations."""
+        """Return the hyperparameters as data for JSON, without the evaluations."""
         parameters = None if self._parameters is None else self._parameters.tolist()
         return {"d": self._d, "parameters": parameters, "trained": self._trained}
 
@@ -168,10 +167,15 @@ class ValidityModel:
     def from_state(
         cls, state: dict[str, Any], x: ArrayLike = (), valid: ArrayLike = ()
     ) -> ValidityModel:
-        """The model that `get_state` came from, bitwise, given the evaluations of its last `fit`.
+        """Return the model that `get_state` came from, bitwise, given the evaluations of its last `fit`.
+
+        Args:
+            state: State from `get_state`, also after a conversion to JSON and back.
+            x: Normalised inputs `(n, d)`.
+            valid: Whether each evaluation was valid, booleans `(n,)`.
 
         Raises:
-            ValueError: the evaluations do not suit the state.
+            ValueError: If the evaluations do not suit the state.
         """
         model = cls()
         if state["d"] is None:
@@ -210,23 +214,23 @@ def _checked_outcomes(
 
 
 def _hazard(z: FloatArray) -> FloatArray:
-    """`d log Phi(z) / dz`, without overflow."""
+    """Return `d log Phi(z) / dz`, without overflow."""
     return np.asarray(np.exp(-0.5 * z * z - 0.5 * np.log(2.0 * np.pi) - log_ndtr(z)))
 
 
 class _Mode:
-    """Where the posterior of the latent function f at the observations is highest.
+    """The maximum of the posterior of the latent function f at the observations.
 
-    By Newton's method, `[Rasmussen2006]_` Algorithm 3.1.
+    It is found by Newton's method, `[Rasmussen2006]_` Algorithm 3.1.
 
     Attributes:
-        signs: +1 where valid, else -1, `(n,)`.
-        offset: prior mean.
-        z: signs times the latent function.
-        weights: gradient of the log likelihood there, `K^-1 (f - offset)`.
-        root: square root of the likelihood's negative second derivative.
-        lower: Cholesky factor of `I + root K root`.
-        fit: log posterior density up to a constant.
+        signs: Sign of each outcome `(n,)`, +1 if valid, else -1.
+        offset: Prior mean.
+        z: Signs times the latent function `(n,)`.
+        weights: Gradient of the log likelihood there `(n,)`, `K^-1 (f - offset)`.
+        root: Square root of the likelihood's negative second derivative `(n,)`.
+        lower: Cholesky factor of `I + root K root` `(n, n)`.
+        fit: Log posterior density, up to a constant.
     """
 
     def __init__(
@@ -287,13 +291,13 @@ class _LaplaceLikelihood:
         self._prior_stddev = np.append(np.full(d, _LENGTH_SCALE_PRIOR[1]), _VARIANCE_PRIOR[1])
 
     def bounds(self) -> FloatArray:
-        """Lowest and highest allowed hyperparameters, `(d + 1, 2)`."""
+        """Return the lowest and highest allowed hyperparameters `(d + 1, 2)`."""
         return np.vstack([self.kernel.bounds(), _VARIANCE_BOUNDS])
 
     def __call__(self, parameters: FloatArray) -> tuple[float, FloatArray]:
-        """Value and gradient; O(n^3).
+        """Return value and gradient `(d + 1,)`; O(n^3).
 
-        `[Rasmussen2006]_` Algorithm 5.1, with a plus in its s_2, as finite differences have it.
+        `[Rasmussen2006]_` Algorithm 5.1, but with a plus in its s_2, as finite differences confirm.
         """
         shape, variance = parameters[:-1], np.exp(parameters[-1])
         covariance, slope = _covariance(self.kernel, shape, variance, self.x)
@@ -356,7 +360,7 @@ class _LaplacePosterior(TriangularPosterior):
 def _covariance(
     kernel: Kernel, shape: FloatArray, variance: float, x: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Covariance matrix of the observations and the kernel's slope, `(n, n)` each."""
+    """Return the covariance matrix of the observations and the kernel's slope, `(n, n)` each."""
     scaled = x @ kernel.factor(shape)
     profile, slope = kernel.profile(squared_distances(scaled, scaled))
     covariance = variance * profile

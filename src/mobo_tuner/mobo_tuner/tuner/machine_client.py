@@ -142,7 +142,7 @@ class MachineClient:
             leave: Future; when it is done, this returns, and the machine finishes the move by itself.
 
         Raises:
-            MachineLostError: As in `evaluate`, or if the machine does not offer it.
+            MachineLostError: If `evaluate` would raise it, or the machine does not offer the action.
         """
         if not self._apply.server_is_ready():
             raise MachineLostError("the machine does not offer 'apply_setpoint'")
@@ -324,7 +324,7 @@ class _Patience:
 def clip_to_limits(
     setpoint: Mapping[str, float], variables: Sequence[msg.Variable]
 ) -> dict[str, float]:
-    """A set-point made of readbacks, which may lie a hair outside, within the machine's limits."""
+    """Return readbacks, which may be slightly outside, as a set-point within the machine's limits."""
     return {v.name: min(max(setpoint[v.name], v.min), v.max) for v in variables}
 
 

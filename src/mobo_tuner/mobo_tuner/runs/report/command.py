@@ -34,8 +34,8 @@ def write_report(run_dir: str | Path) -> RecordedRun:
     """Write summary and pictures of a run into its folder.
 
     Raises:
-        JournalError: its journal cannot be read.
-        OSError: the folder cannot be written.
+        JournalError: If its journal cannot be read.
+        OSError: If the folder cannot be written.
     """
     folder = Path(run_dir)
     run = RecordedRun.load(folder)

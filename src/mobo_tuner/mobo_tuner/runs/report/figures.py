@@ -47,7 +47,7 @@ def write_figure(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, whole or not at all.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: If it cannot be written.
     """
     buffer = BytesIO()
     with rc_context(_STYLE):
@@ -57,7 +57,7 @@ def write_figure(figure: Figure, path: Path) -> None:
 
 
 def hypervolume_figure(run: RecordedRun) -> Figure:
-    """The hypervolume over the evaluations, with the initial design shaded and failures marked."""
+    """Plot the hypervolume over the evaluations, with the initial design shaded and failures marked."""
     with rc_context(_STYLE):
         figure = Figure()
         axes = figure.subplots()
@@ -120,7 +120,7 @@ def front_figure(run: RecordedRun) -> Figure:
 
 
 def product_of_units(units: list[str]) -> str:
-    """The unit of a product, as in ``mm³ (mm mrad)² MeV``."""
+    """Return the unit of a product, as in ``mm³ (mm mrad)² MeV``."""
     parts = []
     for unit, power in Counter(unit for unit in units if unit).items():
         base = f"({unit})" if power > 1 and not unit.isalpha() else unit
@@ -129,11 +129,11 @@ def product_of_units(units: list[str]) -> str:
 
 
 def staircase(points: Array, reference: Array) -> Array:
-    """The border of what points of a plane dominate, as a line.
+    """Return the border of the area that points of a plane dominate, as a line.
 
     Args:
-        points: minimised and non-dominated, shape ``(k, 2)``.
-        reference: where the border ends, shape ``(2,)``.
+        points: Minimised non-dominated points ``(k, 2)``.
+        reference: End of the border on either side ``(2,)``.
 
     Returns:
         The corners in order, shape ``(2 k + 1, 2)``.

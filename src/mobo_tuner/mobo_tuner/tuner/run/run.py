@@ -112,21 +112,21 @@ class Run:
         optimizer: Optimiser; from the start of the run only the worker thread touches it. What it has
             found is read from `found`.
         interrupt: Done when the run must stop; its result is the reason.
-        log: Where the run is kept.
+        log: Records of the run.
         hypervolume_goal: Hypervolume at which it is done, too; 0 = none.
         model_input: What the models learn from, SETPOINT or READBACK.
         records: Evaluations so far, those of a resumed run included, each with the problem at that time.
         steering: Pending requests of operators.
         machine: Description of the machine; None before the first contact.
-        state_before: Where the machine was before the run; None if no fallback needs it.
+        state_before: Readbacks before the run; None if no fallback needs them.
         by_client: Whether a client asks and tells by itself.
         changeable: Whether its problem and budget may be changed.
         evaluating: Whether an evaluation is in flight, also while it waits for its next attempt.
         obstructed: Whether that evaluation waits until the machine is back, allows to move, or an operator
             resumes.
         consecutive_failures: Number of failed evaluations at the end of the finished ones.
-        step_started: When the evaluation before ended, by `time.perf_counter` [s].
-        progress: What it gained lately, and how long it has taken.
+        step_started: End of the previous evaluation, by `time.perf_counter` [s].
+        progress: Recent gains, and the time so far.
         found: What the run has found so far.
         hints: What keeps it from getting anywhere, each with what to do.
     """
