@@ -76,7 +76,9 @@ class Dataset:
         self.evaluations: list[Evaluation] = []
         self._inputs: list[Array] = []
         self._targets: list[Array] = []
-        self._arrays: dict[tuple[str, str], NDArray[Any]] = {}  # made since the last change
+        # Made since the last change:
+        self._arrays: dict[tuple[str, str], NDArray[Any]] = {}
+        self._results: dict[Callable[[Dataset], bool], bool] = {}
 
     def __len__(self) -> int:
         return len(self.evaluations)
@@ -186,6 +188,7 @@ class Dataset:
         """Return the evaluation with what follows from its values."""
         values = {name: evaluation.value(name) for name in self.problem.required_diagnostics}
         self._arrays.clear()
+        self._results.clear()
         complete = all(math.isfinite(value) for value in values.values())
         feasible = complete and self.problem.is_feasible(values)
         return replace(evaluation, complete=complete, feasible=feasible)
@@ -288,6 +291,12 @@ class Dataset:
             ),
             name,
         )
+
+    def once(self, function: Callable[[Dataset], bool]) -> bool:
+        """Return the result of a function of this dataset, computed once until something changes."""
+        if function not in self._results:
+            self._results[function] = function(self)
+        return self._results[function]
 
     def _once(self, kind: str, make: Callable[[], NDArray[Any]], name: str = "") -> NDArray[Any]:
         """Return an array that is made once until something changes; it is read-only."""

@@ -199,7 +199,7 @@ class Models:
             return True
         if any((data.stddev_column(name) > 0.0).any() for name in self._processes):
             return True
-        return self._learns_noise or (isinstance(self._noise, str) and readings_differ(data))
+        return self._learns_noise or (isinstance(self._noise, str) and data.once(readings_differ))
 
     @property
     def _learns_noise(self) -> bool:

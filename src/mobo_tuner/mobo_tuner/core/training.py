@@ -361,7 +361,7 @@ def noise_evidence(
     extra: FloatArray,
     parameters: FloatArray,
 ) -> float:
-    """Return the log evidence of noise against a noiseless function.
+    """Return the log evidence of noise against a noiseless function, or an upper bound that is not positive.
 
     It is the gain in the highest marginal likelihood, or, if that is less, the gain in the densities
     of the observations under their predictions from all others, of which each counts for at most one:
@@ -390,12 +390,18 @@ def noise_evidence(
         for noise in (_CLEAR_NOISE, _NEGLIGIBLE_NOISE)
     )
     tolerance = _TOLERANCE / n
+    penalty = objective.noise_penalty(_NEGLIGIBLE_NOISE)
     noisy_best, learned = train_lbfgs(objective, noisy, bounds, free, tolerance, _EVIDENCE_STEPS)
+    # A training only improves on its starts: where these are good enough, there is no evidence.
+    starts = np.clip(noiseless, bounds[:, 0], bounds[:, 1])
+    most = n * (min(objective(start)[0] for start in starts) - learned) - penalty
+    if most <= 0.0:
+        return most
     free[-1] = False
     noiseless_best, without = train_lbfgs(
         objective, noiseless, bounds, free, tolerance, _EVIDENCE_STEPS
     )
-    likelihood = n * (without - learned) - objective.noise_penalty(_NEGLIGIBLE_NOISE)
+    likelihood = n * (without - learned) - penalty
     densities = [
         Posterior(
             kernel,
