@@ -82,6 +82,12 @@ def test_an_axis_shows_everything_also_a_single_value_or_none() -> None:
     assert Axis.around([]) == Axis(0.0, 1.0)
 
 
+@pytest.mark.parametrize("high", [math.inf, 1.7e308])
+def test_an_axis_of_the_largest_numbers_has_finite_ticks(high: float) -> None:
+    for axis in (Axis(-high, high), Axis.around([-1.7e308, 1.7e308, high])):
+        assert all(math.isfinite(value) for value, _ in axis.ticks(5)[0])
+
+
 def test_every_text_is_escaped() -> None:
     evil = "<script>alert('x')</script>\"&"
     plot = Plot(Axis(0.0, 1.0, evil), Axis(0.0, 1.0, evil), evil)

@@ -25,6 +25,7 @@ _SHAPES = {
     "diamond": "m0-4l4 4l-4 4l-4-4z",
     "triangle": "m0-4l4 7h-8z",
 }
+_FARTHEST_END = 1e300  # of an axis
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,12 @@ class Axis:
     high: float
     label: str = ""
     integer: bool = False
+
+    def __post_init__(self) -> None:
+        """Keep the ends, and so their distance, finite."""
+        for end in ("low", "high"):
+            bounded = min(max(getattr(self, end), -_FARTHEST_END), _FARTHEST_END)
+            object.__setattr__(self, end, bounded)
 
     @classmethod
     def around(
