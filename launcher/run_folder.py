@@ -24,6 +24,7 @@ CONFIG_FILE = "config.yaml"
 SUMMARY_FILE = "summary.json"
 JOURNAL_FILE = "journal.jsonl"
 RUN_FILE_ROOM = 4000  # characters of a run.json at least
+SHOWN_POINTS = 8  # of the front, so that a run fits a screen
 BAG_FILE = "metadata.yaml"
 BAG_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
@@ -238,8 +239,14 @@ class RunFolder:
         lines.append(f"Pareto front, {len(front)} points")
         for title, points in tables.items():
             if points:
-                rows = [[_text(point.get(name)) for name in points[0]] for point in points]
-                lines += [f"  {title}", *(f"  {line}" for line in table(list(points[0]), rows))]
+                columns = list(points[0])
+                rows = [[_text(point.get(n)) for n in columns] for point in points[:SHOWN_POINTS]]
+                lines += [f"  {title}", *(f"  {line}" for line in table(columns, rows))]
+        if len(front) > SHOWN_POINTS:
+            lines.append(
+                f"  and {len(front) - SHOWN_POINTS} more: {SUMMARY_FILE} has all of them, report.html "
+                "the most balanced ones"
+            )
         return "\n".join(lines)
 
     def _read(self, name: str) -> dict[str, Any]:

@@ -110,7 +110,7 @@ def test_working_points_are_listed_and_gone_to(shell: Shell) -> None:
     wait_until(lambda: len(console.stdout.splitlines()) >= 9, "evaluations", 60.0)
     shell("stop")
     assert console.wait() == 0
-    lines = shell("points", "--sort", "f2", "--predict").splitlines()
+    lines = shell("points", "--sort", "f2", "--predict", "--top", "0").splitlines()
     run_id = re.search(r"points of run (\S+), measured; hypervolume ", lines[0])
     assert run_id
     assert lines[1].split() == ["index", "f1", "f2"]
@@ -121,8 +121,16 @@ def test_working_points_are_listed_and_gone_to(shell: Shell) -> None:
     top = shell("points", "--sort", "x1", "--top", "1").splitlines()
     assert top[0].startswith(f"1 of {len(measured)} points")
     assert top[1].split() == ["index", "f1", "f2", "x1"]
-    assert len(top) == 3
+    assert len(top) == 4
+    assert "--top 0" in top[-1]
+    whole = shell("points", "--top", "0").splitlines()
+    assert len(whole) == 2 + len(measured)
+    wanted = dict(zip(lines[1].split()[1:], measured[-1][1:], strict=True))
+    near = shell("points", "--near", *(f"{name}={value}" for name, value in wanted.items()))
+    assert near.splitlines()[2].split()[0] == measured[-1][0]
     assert "'f3'" in shell.refused("points", "--sort", "f3")
+    assert "'f3'" in shell.refused("points", "--near", "f3=1")
+    assert "--near" in shell.refused("points", "--sort", "f1", "--near", "f2=1")
 
     index = measured[0][0]
     at = shell("go", index, "--hold", "2")

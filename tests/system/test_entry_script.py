@@ -484,7 +484,7 @@ def test_interrupted_tests_end(project: FakeProject) -> None:
 
 # ------------------------------------------------------------------ list and show
 
-SUMMARY = {
+SUMMARY: dict[str, Any] = {
     "evaluations": 3,
     "failed": 1,
     "feasible": 2,
@@ -505,6 +505,16 @@ def make_run(runs_dir: Path, run_id: str, facts: Any, summary: Any = None) -> Pa
             text = content if isinstance(content, str) else json.dumps(content)
             (folder / name).write_text(text)
     return folder
+
+
+def test_a_run_with_a_large_front_fits_a_screen(tmp_path: Path) -> None:
+    point = SUMMARY["pareto_front"][0]
+    front = [{**point, "index": index} for index in range(1527)]
+    make_run(tmp_path, "a", {"state": "finished"}, {**SUMMARY, "pareto_front": front})
+    lines = mobo("show", "a", "--runs-dir", str(tmp_path)).stdout.splitlines()
+    assert len(lines) <= 40
+    assert "1527 points" in "".join(lines)
+    assert "1519 more" in lines[-1]
 
 
 def test_list_tells_the_state_of_every_run(tmp_path: Path) -> None:

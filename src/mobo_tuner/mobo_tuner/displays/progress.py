@@ -18,7 +18,6 @@ class RunProgress:
         last: Evaluation that came last; None before the first.
         evaluations: Number of finished evaluations.
         status: Status that the tuner published last.
-        front_size: Number of points on the Pareto front.
     """
 
     def __init__(self, budget: int = 0) -> None:
@@ -26,7 +25,7 @@ class RunProgress:
         self.last: Evaluation | None = None
         self.evaluations = 0
         self.status = Status("unknown")
-        self.front_size = 0
+        self._front_size = 0
         self._started = time.monotonic()
         self._problem: Problem | None = None
         self._made: list[Evaluation] = []
@@ -48,7 +47,7 @@ class RunProgress:
 
     def set_front(self, front: Front) -> None:
         """Take over the size of the front."""
-        self.front_size = len(front.points)
+        self._front_size = len(front.points)
 
     def add(self, evaluation: Evaluation) -> None:
         """Take over one evaluation."""
@@ -83,6 +82,11 @@ class RunProgress:
         if self._is_current:
             return self.status.hypervolume
         return self.last.hypervolume if self.last else 0.0
+
+    @property
+    def front_size(self) -> int:
+        """Number of points on the Pareto front."""
+        return self.status.front_size if self._is_current else self._front_size
 
     @property
     def suggest_median(self) -> float:

@@ -8,7 +8,7 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from mobo_tuner.client import (
@@ -16,6 +16,7 @@ from mobo_tuner.client import (
     ErrorCode,
     Front,
     Movement,
+    Point,
     Status,
     TunerClient,
     TunerError,
@@ -26,6 +27,7 @@ POLL_PERIOD = 0.1  # [s]
 CANCEL_TIMEOUT = 900.0  # [s] for the machine to be back where `on_abort` sends it
 EXIT_ERROR = 1
 EXIT_INTERRUPTED = 130
+TOP = 20  # points of a front that are listed
 REFUSALS = (ErrorCode.REFUSED, ErrorCode.INVALID_GOAL, ErrorCode.INVALID_VALUE)
 
 Act = Callable[[TunerClient, argparse.Namespace], str]
@@ -130,10 +132,21 @@ def points(client: TunerClient, options: argparse.Namespace) -> str:
     fronts = [("measured", found.measured)]
     if found.predicted is not None:
         fronts.append(("predicted", found.predicted))
+    if options.sort and options.near:
+        raise TunerError(ErrorCode.INVALID_VALUE, "give either --sort or --near")
+    near = dict(options.near or {})
     descending = bool(options.sort) and _is_maximized(client, options.sort)
-    return "\n\n".join(
-        _table(front, title, options.sort, descending, options.top) for title, front in fronts
-    )
+    tables = []
+    for title, front in fronts:
+        names = near or ([options.sort] if options.sort else [])
+        _check_names(front, names, "--near" if near else "--sort")
+        listed = list(front.points)
+        if near:
+            listed = _nearest(listed, near)
+        elif options.sort:
+            listed.sort(key=lambda point: _values(point)[options.sort], reverse=descending)
+        tables.append(_table(front, listed, title, names, options.top))
+    return "\n\n".join(tables)
 
 
 def go(client: TunerClient, options: argparse.Namespace) -> str:
@@ -211,7 +224,18 @@ def make_parser() -> argparse.ArgumentParser:
             "--run", metavar="ID", default="", help="id of the run (default: the last one)"
         )
     parsers["points"].add_argument(
-        "--top", type=_count, metavar="N", help="number of points to list (default: all)"
+        "--top",
+        type=_count,
+        default=TOP,
+        metavar="N",
+        help=f"number of points to list; 0 = all (default: {TOP})",
+    )
+    parsers["points"].add_argument(
+        "--near",
+        nargs="+",
+        type=_named_number,
+        metavar="NAME=NUMBER",
+        help="list the points nearest to these variables and objectives first",
     )
     parsers["points"].add_argument(
         "--sort", default="", metavar="NAME", help="objective or variable; the best comes first"
@@ -315,30 +339,62 @@ def _is_maximized(client: TunerClient, name: str) -> bool:
         return False  # not set, or not an objective
 
 
-def _table(front: Front, title: str, sort: str, descending: bool, top: int | None) -> str:
-    """Return a front, one point per line; a predicted point has no index."""
-    listed = list(front.points)
-    if sort:
-        known = [*front.reference_point, *(listed[0].setpoint if listed else ())]
-        if listed and sort not in known:
+def _check_names(front: Front, names: Iterable[str], option: str) -> None:
+    """Check that all names are objectives or variables of a front.
+
+    Raises:
+        TunerError: If one is not.
+    """
+    known = [*front.reference_point, *(front.points[0].setpoint if front.points else ())]
+    for name in names:
+        if front.points and name not in known:
             raise TunerError(
-                ErrorCode.INVALID_VALUE, f"--sort is '{sort}'; allowed are {', '.join(known)}"
+                ErrorCode.INVALID_VALUE, f"{option} names '{name}'; allowed are {', '.join(known)}"
             )
-        listed.sort(
-            key=lambda point: {**point.setpoint, **point.objectives}[sort], reverse=descending
-        )
-    shown = listed[:top]
+
+
+def _values(point: Point) -> dict[str, float]:
+    """Return variables and objectives of a point by name."""
+    return {**point.setpoint, **point.objectives}
+
+
+def _nearest(points: Sequence[Point], near: Mapping[str, float]) -> list[Point]:
+    """Return points from the nearest to the farthest; each name counts by its span over the front."""
+    columns = {name: [_values(point)[name] for point in points] for name in near}
+    spans = {name: (max(column) - min(column)) or 1.0 for name, column in columns.items()}
+
+    def distance(point: Point) -> float:
+        values = _values(point)
+        return math.hypot(*((values[name] - near[name]) / spans[name] for name in near))
+
+    return sorted(points, key=distance) if points else []
+
+
+def _table(
+    front: Front, listed: Sequence[Point], title: str, further: Iterable[str], top: int
+) -> str:
+    """Return points of a front, one per line; a predicted point has no index.
+
+    Args:
+        front: Front of the points.
+        listed: Points in the order to list them.
+        title: Kind of the front.
+        further: Names of variables to list beside the objectives.
+        top: Number of points to list; 0 = all.
+    """
+    shown = listed[: top or None]
     count = len(listed) if len(shown) == len(listed) else f"{len(shown)} of {len(listed)}"
     lines = [f"{count} points of run {front.run_id}, {title}; hypervolume {front.hypervolume:.6g}"]
-    names = list(front.reference_point)
-    if sort and sort not in names:
-        names.append(sort)
+    names = list(dict.fromkeys([*front.reference_point, *further]))
     rows = [["index", *(f"{name} {front.units.get(name, '')}".strip() for name in names)]]
     for point in shown:
-        values = {**point.setpoint, **point.objectives}
+        values = _values(point)
         index = "-" if point.index is None else str(point.index)
         rows.append([index, *(f"{values[name]:.4g}" for name in names)])
-    return "\n".join([*lines, _aligned(rows)])
+    lines.append(_aligned(rows))
+    if len(shown) < len(listed):
+        lines.append(f"{len(listed) - len(shown)} more: --top 0 lists all")
+    return "\n".join(lines)
 
 
 def _named_value(text: str) -> tuple[str, Any]:

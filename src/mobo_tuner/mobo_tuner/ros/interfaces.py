@@ -171,7 +171,12 @@ LATEST_EVALUATION = Topic(
     "The same message; a late subscriber gets the newest at once, and no other.",
 )
 PARETO_FRONT = Topic(
-    "pareto_front", msg.ParetoFront, LATCHED, "tuner", "Pareto front, after each change."
+    "pareto_front",
+    msg.ParetoFront,
+    LATCHED,
+    "tuner",
+    "Whole Pareto front, at the start and the end of a run, after a change of the problem, and whenever a "
+    "tenth of its points has changed. `list_working_points` returns it at any time; `status` has its size.",
 )
 STATUS = Topic(
     "status",

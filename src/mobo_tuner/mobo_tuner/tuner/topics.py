@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
 from rclpy.duration import Duration
@@ -20,6 +20,8 @@ STATUS_PERIOD = 1.0  # [s]
 HEARTBEAT_PERIOD = 1.0  # [s] at most
 HEARTBEATS_PER_TIMEOUT = 3.0  # at least
 READBACK_PERIOD = 0.1  # [s] at least between two messages about a motion
+FRONT_SHARE = 0.1
+"""Share of the front that has changed when it is published again during a run."""
 
 
 class TunerTopics:
@@ -44,6 +46,7 @@ class TunerTopics:
         self._problem = interfaces.PROBLEM.publisher(node)
         self._records = interfaces.RUN_RECORDS.publisher(node)
         self._front = interfaces.PARETO_FRONT.publisher(node)
+        self._listed: frozenset[int] = frozenset()  # points of the front that was published last
         self._evaluation = interfaces.EVALUATION.publisher(node)
         self._latest = interfaces.LATEST_EVALUATION.publisher(node)
         names = dict.fromkeys(
@@ -68,8 +71,22 @@ class TunerTopics:
         self._records.publish(message)
 
     def front(self, message: msg.ParetoFront) -> None:
-        """Publish the Pareto front as it is now."""
+        """Publish the whole Pareto front as it is now."""
+        self._listed = frozenset(point.index for point in message.points)
         self._front.publish(message)
+
+    def front_changed(self, indices: Iterable[int], message: Callable[[], msg.ParetoFront]) -> None:
+        """Publish the whole front if enough of its points are others than when it was published last.
+
+        So the fronts of a run take space in proportion to its evaluations, and not to their square.
+
+        Args:
+            indices: Points of the front as it is now.
+            message: Function that returns that front.
+        """
+        now = frozenset(indices)
+        if len(now ^ self._listed) >= max(1.0, FRONT_SHARE * len(now)):
+            self.front(message())
 
     def evaluation(self, message: msg.Evaluation) -> None:
         """Publish an evaluation, as a whole and as flat topics."""

@@ -76,6 +76,7 @@ class RunLoop:
             ):
                 ending, done = await self._leave(run, await self._tune(run, listener))
                 ending = end_run(context, run, ending)
+                context.topics.front(run.front_message(context.now()))
                 context.status.set(
                     publish=False, message=ending.error_msg or done, stop_reason=ending.stop_reason
                 )
@@ -321,8 +322,7 @@ class RunLoop:
     def _report(self, run: Run, record: EvaluationRecord, listener: Listener) -> None:
         message = run.evaluation_message(record)
         self._context.topics.evaluation(message)
-        if record.non_dominated:
-            self._context.topics.front(run.front_message(self._context.now()))
+        publish_front_change(self._context, run)
         self._context.status.set(publish=False, message="")
         self._publish_figures(run)
         listener(record, message)
@@ -401,6 +401,12 @@ def publish_run(context: TunerContext, run: Run) -> None:
     context.topics.run_records(run.records_message(now))
     context.topics.problem(run.problem_message(now))
     context.topics.front(run.front_message(now))
+
+
+def publish_front_change(context: TunerContext, run: Run) -> None:
+    """Publish the front of a run if it has changed enough since it was published last."""
+    indices = (point["index"] for point in run.found.front)
+    context.topics.front_changed(indices, lambda: run.front_message(context.now()))
 
 
 def end_run(context: TunerContext, run: Run, ending: Ending) -> Ending:

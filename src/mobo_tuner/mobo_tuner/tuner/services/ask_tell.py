@@ -14,7 +14,7 @@ from mobo_tuner.runs.run_id import new_run_id
 from mobo_tuner.tuner.context import TunerContext, describe
 from mobo_tuner.tuner.machine_client import Answer
 from mobo_tuner.tuner.problem_parameters import ProblemParameters
-from mobo_tuner.tuner.run.loop import Ending, end_run, publish_run
+from mobo_tuner.tuner.run.loop import Ending, end_run, publish_front_change, publish_run
 from mobo_tuner.tuner.run.run import Outcome, Run, Suggestion, measured_nothing
 from mobo_tuner.tuner.run.start import RunRequest, start_run
 from mobo_tuner.tuner.run.steering import Change
@@ -51,6 +51,7 @@ class AskTell:
         """End the run that was begun here, if any."""
         if self._run is not None:
             end_run(self._context, self._run, Ending(StopReason.STOPPED))
+            self._context.topics.front(self._run.front_message(self._context.now()))
             self._run = None
 
     async def _ask(self, _: Ask.Request, response: Ask.Response) -> Ask.Response:
@@ -86,7 +87,7 @@ class AskTell:
         response.success = True
         response.message = run.log.trouble
         self._context.topics.evaluation(response.evaluation)
-        self._context.topics.front(run.front_message(self._context.now()))
+        publish_front_change(self._context, run)
         return response
 
     def _check_run(self, request: Tell.Request) -> None:
