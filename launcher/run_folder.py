@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import re
 import shutil
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ CONFIG_FILE = "config.yaml"
 SUMMARY_FILE = "summary.json"
 JOURNAL_FILE = "journal.jsonl"
 RUN_FILE_ROOM = 4000  # characters of a run.json at least
+LAST_BYTES = 1 << 18  # of a journal that are read for its last records
 SHOWN_POINTS = 8  # of the front, so that a run fits a screen
 BAG_FILE = "metadata.yaml"
 BAG_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
@@ -111,7 +114,8 @@ class RunFolder:
             RunFolderError: If the folder cannot be read.
         """
         try:
-            return [cls(path.parent) for path in sorted(runs_dir.glob(f"*/{RUN_FILE}"))]
+            found = (runs_dir.glob(f"*/{name}") for name in (RUN_FILE, JOURNAL_FILE))
+            return [cls(folder) for folder in sorted({path.parent for path in chain(*found)})]
         except OSError as error:
             raise RunFolderError(f"'{runs_dir}' cannot be read: {error.strerror}") from None
 
@@ -168,23 +172,36 @@ class RunFolder:
                 raise RunFolderError(f"'{path}' cannot be written: {error.strerror}") from None
 
     def facts(self) -> dict[str, Any]:
-        """Return the content of `run.json` with the current state; empty if there is none.
+        """Return the content of `run.json`, or what the journal says, with the current state.
 
         Raises:
             RunFolderError: If it cannot be read.
         """
         facts = self._read(RUN_FILE)
+        if not facts and self.has_journal:  # a run of nodes that stay
+            return self._journal_facts()
         if facts.get("state") == "running" and not _is_alive(facts):
             facts["state"] = "died"
         return facts
 
     def summary(self) -> dict[str, Any]:
-        """Return the content of `summary.json`; empty if there is none.
+        """Return the content of `summary.json`, or of the last evaluation in the journal; may be empty.
 
         Raises:
             RunFolderError: If it cannot be read.
         """
-        return self._read(SUMMARY_FILE)
+        summary = self._read(SUMMARY_FILE)
+        if summary or not self.has_journal:
+            return summary
+        last = next((r for r in self._last_records() if r.get("type") == "evaluation"), None)
+        if last is None:
+            return {}
+        return {"evaluations": last.get("index", -1) + 1, "hypervolume": last.get("hypervolume")}
+
+    @property
+    def has_summary(self) -> bool:
+        """Whether the run has a summary."""
+        return (self.path / SUMMARY_FILE).is_file()
 
     def row(self) -> list[str]:
         """Return the row of a table: id, state, evaluations, hypervolume, start.
@@ -223,8 +240,10 @@ class RunFolder:
             if value not in (None, "")
         ]
         lines.append(f"  {'folder':<12} {self.path}")
-        if not summary:
-            lines.append("There is no summary of this run.")
+        if not self.has_summary:
+            lines.append(
+                f"There is no summary of this run: 'mobo.py report {self.run_id}' makes it."
+            )
             return "\n".join(lines)
         try:
             front = summary["pareto_front"]
@@ -248,6 +267,45 @@ class RunFolder:
                 "the most balanced ones"
             )
         return "\n".join(lines)
+
+    def _journal_facts(self) -> dict[str, Any]:
+        """Return the facts of a run whose nodes stay, as far as its journal has them."""
+        try:
+            with (self.path / JOURNAL_FILE).open("rb") as file:
+                start = json.loads(file.readline())
+                try:
+                    fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+                    state = "died"
+                except OSError:
+                    state = "running"
+            facts = {"started": _local_time(start["stamp"])}
+        except OSError as error:
+            path = self.path / JOURNAL_FILE
+            raise RunFolderError(f"'{path}' cannot be read: {error.strerror}") from None
+        except (KeyError, OverflowError, TypeError, ValueError):
+            raise RunFolderError(f"'{self.path / JOURNAL_FILE}' is broken") from None
+        end = next((r for r in self._last_records() if r.get("type") == "end"), None)
+        if end is not None:
+            stop_reason = str(end.get("stop_reason"))
+            state = {"canceled": "canceled", "error": "failed"}.get(stop_reason, "finished")
+            facts |= {"reason": end.get("error_msg"), "ended": _local_time(end.get("stamp"))}
+        earlier = start.get("resumed_from")
+        if isinstance(earlier, Mapping):
+            facts["resumed_from"] = earlier.get("run_id")
+        return {"state": state, **facts}
+
+    def _last_records(self) -> list[dict[str, Any]]:
+        """Return the last records of the journal, the newest first."""
+        with contextlib.suppress(OSError), (self.path / JOURNAL_FILE).open("rb") as file:
+            file.seek(max(0, file.seek(0, os.SEEK_END) - LAST_BYTES))
+            records = []
+            for line in reversed(file.read().splitlines()):
+                with contextlib.suppress(ValueError):  # the first may be cut
+                    record = json.loads(line)
+                    if isinstance(record, dict):
+                        records.append(record)
+            return records
+        return []
 
     def _read(self, name: str) -> dict[str, Any]:
         path = self.path / name
@@ -295,6 +353,13 @@ def process_start(pid: int) -> str | None:
     # The start is the 20th field after the program's name, which is in brackets.
     state, *fields = content.rpartition(")")[2].split()
     return None if state == "Z" else fields[18]
+
+
+def _local_time(stamp: Any) -> str | None:
+    """Return a time [s since the epoch] as `run.json` has it; None if it is unknown."""
+    if not isinstance(stamp, int | float):
+        return None
+    return datetime.fromtimestamp(stamp).astimezone().isoformat(timespec="seconds")
 
 
 def _is_alive(facts: Mapping[str, Any]) -> bool:

@@ -79,12 +79,17 @@ def list_runs(options: argparse.Namespace) -> None:
 
 
 def show(options: argparse.Namespace) -> None:
-    """Print the result of a run.
+    """Print the result of a run; the report of a run of nodes that stay is created first.
 
     Raises:
-        RunFolderError: If there is no such run, or it cannot be read.
+        UsageError, SetupError, RunFolderError, Interrupted, OSError
     """
-    print(RunFolder.find(options.run, options.runs_dir).description())
+    folder = RunFolder.find(options.run, options.runs_dir)
+    ended = folder.has_journal and folder.facts().get("state") in ("finished", "canceled", "failed")
+    if ended and not folder.has_summary:
+        with open_project(options.root) as project:
+            project.ask("mobo_tuner.runs.report", folder.path)
+    print(folder.description())
 
 
 def report(options: argparse.Namespace) -> None:

@@ -102,3 +102,38 @@ def test_the_end_of_a_run_is_recorded_where_no_file_can_be_made(tmp_path: Path) 
     (tmp_path / "run.json").unlink()
     with pytest.raises(RunFolderError, match=r"run\.json"):
         folder.record({"state": "failed"})
+
+
+START = {"type": "start", "run_id": "a", "stamp": 1_700_000_000.0, "version": 1}
+EVALUATION = {"type": "evaluation", "index": 6, "hypervolume": 2.5}
+
+
+def states(runs_dir: Path) -> list[tuple[str, str, str]]:
+    """Name, state and number of evaluations of each run."""
+    rows = [folder.row() for folder in RunFolder.all(runs_dir)]
+    return [(row[0], row[1], row[2]) for row in rows]
+
+
+def test_runs_of_nodes_that_stay_are_listed_with_the_others(tmp_path: Path) -> None:
+    with journal.Journal.create(tmp_path / "a", [START, EVALUATION]) as open_journal:
+        assert states(tmp_path) == [("a", "running", "7")]
+    assert states(tmp_path) == [("a", "died", "7")]
+    for name, stop_reason, state in (
+        ("b", "budget", "finished"),
+        ("c", "canceled", "canceled"),
+        ("d", "error", "failed"),
+    ):
+        end = {"type": "end", "stop_reason": stop_reason, "stamp": 1.7e9, "error_msg": "why"}
+        journal.Journal.create(tmp_path / name, [START, end]).close()
+        assert states(tmp_path)[-1] == (name, state, "-")
+        assert "why" in RunFolder(tmp_path / name).description()
+    assert RunFolder(tmp_path / "a").row()[4].startswith("2023-11-1")
+    assert "mobo.py report a" in RunFolder(tmp_path / "a").description()
+    assert open_journal.path.is_file()
+
+
+def test_a_journal_that_does_not_begin_well_is_told(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "journal.jsonl").write_text("[]\n")
+    with pytest.raises(RunFolderError, match="broken"):
+        RunFolder(tmp_path / "a").row()

@@ -10,11 +10,14 @@ import pytest
 import yaml
 
 from mobo_tuner.core import Problem, ProblemError
+from mobo_tuner.core.settings import method_of
 from mobo_tuner.errors import UserError
 from mobo_tuner.files import load_yaml
+from mobo_tuner.parameter_file import node_sections
 from mobo_tuner.runs.journal import JournalError
 from mobo_tuner.runs.records import ChangeRecord
 from mobo_tuner.runs.resume_config import main, resume_config
+from mobo_tuner.tuner.parameters import check_tuner
 from robustness.offline_run import TOY, OfflineRun, toy, toy_optimizer
 
 OTHERS = {"awa_sim": {"ros__parameters": {"speed": 100.0}}, "tuner": {"ros__parameters": {}}}
@@ -124,11 +127,19 @@ def test_a_budget_that_is_used_up_is_refused(folder: Path) -> None:
         resume_config(folder, None, 3)
 
 
-def test_a_run_without_a_file_needs_one(folder: Path) -> None:
+def test_a_run_of_nodes_that_stay_has_its_problem_and_method_in_its_journal(
+    run: OfflineRun, folder: Path, tmp_path: Path
+) -> None:
     (folder / "config.yaml").unlink()
-    with pytest.raises(ProblemError, match=r"holds no config\.yaml; give one by --config"):
-        resume_config(folder, None, None)
-    assert resume_config(folder, written(folder), None)
+    made = tmp_path / "made.yaml"
+    made.write_bytes(resume_config(folder, None, None))
+    content = load_yaml(made)
+    assert Problem.from_dict(content) == run.run.problem
+    checked = check_tuner(node_sections(content)["tuner"])
+    assert method_of(checked) == run.optimizer.settings
+    assert checked["seed"] == 1
+    assert checked["runs_dir"] == "runs"  # not that of the run
+    assert resume_config(folder, made, None) == made.read_bytes()
 
 
 def test_what_is_no_run_is_refused(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ JSON is strict: a number that is not finite is written as null.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import math
 import os
@@ -80,6 +81,9 @@ class Journal:
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_CLOEXEC
         journal = cls(path, os.open(draft, flags, 0o644))
         try:
+            # Who reads the folder can tell by the lock whether the run is active.
+            with contextlib.suppress(OSError):  # some network disks have no locks
+                fcntl.flock(journal._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             journal._write(lines)
             _put(draft, path)
             _sync_folder(folder)

@@ -356,7 +356,7 @@ def _stamp(value: float) -> tuple[int, int]:
 
 
 def _integer(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**31:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**32:
         raise ValueError(f"{value!r:.40}; an integer of at least 0 is allowed")
     return value
 

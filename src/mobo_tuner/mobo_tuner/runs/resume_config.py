@@ -26,6 +26,7 @@ from mobo_tuner.runs.journal import read_journal
 from mobo_tuner.runs.optimizer_settings import kept_settings
 
 CONFIG_FILE = "config.yaml"
+_OF_ONE_RUN = ("runs_dir", "journal", "budget", "hypervolume_goal", "holds")  # recorded settings
 
 
 def resume_config(run_dir: Path, config: Path | None, evaluations: int | None) -> bytes:
@@ -56,8 +57,8 @@ def resume_config(run_dir: Path, config: Path | None, evaluations: int | None) -
         _check(content, history)
         return config.read_bytes()
     path = run_dir / CONFIG_FILE
-    if not path.is_file():
-        raise ProblemError(f"'{run_dir}' holds no {CONFIG_FILE}; give one by --config")
+    if not path.is_file():  # a run of nodes that stay, or one that was rebuilt from its bag
+        return _config_of(history)
     content = load_yaml(path)
     if Problem.from_dict(content) == history.last_problem:
         return path.read_bytes()
@@ -67,6 +68,22 @@ def resume_config(run_dir: Path, config: Path | None, evaluations: int | None) -
     sections = history.last_problem.to_dict()
     parameters.update({name: entries for name, entries in sections.items() if entries})
     note = f"# As run {history.run_id} was in the end.\n"
+    return (note + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)).encode()
+
+
+def _config_of(history: History) -> bytes:
+    """Return a parameter file with what the journal of a run says of its problem and settings."""
+    settings = {
+        name: value
+        for name, value in history.settings.items()
+        if name not in _OF_ONE_RUN and value is not None
+    }
+    problem = {name: entries for name, entries in history.last_problem.to_dict().items() if entries}
+    content = {
+        "/**": {"ros__parameters": problem},
+        "/**/tuner": {"ros__parameters": settings},
+    }
+    note = f"# From the journal of run {history.run_id}.\n"
     return (note + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)).encode()
 
 

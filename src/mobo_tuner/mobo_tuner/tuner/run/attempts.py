@@ -211,7 +211,7 @@ class Attempts:
             context.status.progress(feedback.phase, feedback.fraction)
 
         if not any(wait.active for wait in waits):
-            context.status.work(msg.TunerStatus.EVALUATING)
+            context.status.work(msg.TunerStatus.EVALUATING, "")
         try:
             answer = await context.gate.evaluate(
                 request, run.problem.units, on_feedback, run.interrupt, run.steering.skip

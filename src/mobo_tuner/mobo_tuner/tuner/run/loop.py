@@ -202,7 +202,7 @@ class RunLoop:
         except (MachineLostError, ProblemError) as error:
             raise RunError(_CODES.MACHINE_UNAVAILABLE, str(error)) from None
         await self._fallbacks.prepare(run)
-        context.status.set(message="")
+        context.status.work(msg.TunerStatus.SUGGESTING, "")
         context.log.info(f"run '{run.run_id}' tunes '{machine.name}'")
 
     async def _publish_earlier(self, run: Run) -> None:

@@ -20,7 +20,7 @@ from mobo_tuner.tuner.run.start import RunRequest, start_run
 from mobo_tuner.tuner.run.steering import Change
 from mobo_tuner.tuner.session import Session
 
-UNBOUNDED = 2**32 - 1  # evaluations: a client that runs its own loop ends it itself
+UNBOUNDED = 2**31 - 1  # evaluations: a client that runs its own loop ends it itself
 _CODES = EvaluateSetpoint.Result
 
 
