@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
@@ -23,7 +24,22 @@ from tests.core.problem_mapping import MAPPING, changed
         ("objectives", {}, "'objectives' is missing or empty"),
         ("objectives", [1], "'objectives' must be a mapping"),
         ("variables.K1", 3, "'variables.K1' must be a mapping"),
-        ("variables.K1.step", 3, "'step' is unknown in variables.K1"),
+        ("variables.K1.steps", 3, "'steps' is unknown in variables.K1"),
+        ("variables.K1.step", 0.0, "variables.K1.step is 0"),
+        ("variables.K1.step", 700.0, "no multiple of the step 700"),
+        ("variables.K1.step", 1e-9, "variables.K1.step is 1e-09, too fine"),
+        ("variables.K1.choices", [450.0], "variables.K1.choices is \\[450.0\\]"),
+        ("variables.K1.choices", "on", "variables.K1.choices must be a list of numbers"),
+        ("variables.K1.choices", [1.0, 2.0], "no of its choices in between"),
+        ("variables.K1.scale", "cubic", "variables.K1.scale is 'cubic'"),
+        ("variables.phi.scale", "log", "variables.phi.min is -10; with scale log"),
+        ("variables.K1.fixed", 300.0, "variables.K1.fixed is 300; 400 to 550"),
+        ("variables.K1.fixed", "now", "variables.K1.fixed must be a number"),
+        ("limits", {"s": {"K1": 1.0}}, "limits.s needs 'min', 'max' or both"),
+        ("limits", {"s": {"K2": 1.0, "max": 1.0}}, "'K2' is unknown in limits.s"),
+        ("limits", {"s": {"max": 1.0}}, "limits.s has no variable"),
+        ("limits", {"s": {"K1": 1.0, "max": 300.0}}, "meets limits.s"),
+        ("limits", {"s": {"K1": "1", "max": 450.0}}, "limits.s.K1 must be a number"),
         ("variables.K1.min", ..., "variables.K1.min is missing"),
         ("variables.K1.min", "low", "variables.K1.min must be a number, not the text 'low'"),
         ("variables.K1.min", True, "variables.K1.min must be a number, not a truth value"),
@@ -95,3 +111,41 @@ def test_a_ros_parameter_file_and_the_bare_mapping_give_the_same(tmp_path: Path)
     (tmp_path / "bare.yaml").write_text(yaml.safe_dump(MAPPING, sort_keys=False))
     ros = Problem.from_yaml(tmp_path / "ros.yaml")
     assert ros == Problem.from_yaml(str(tmp_path / "bare.yaml")) == Problem.from_dict(MAPPING)
+
+
+def test_a_variable_has_a_grid_choices_a_scale_or_one_value() -> None:
+    variables = {
+        "step": {"min": 0.25, "max": 1.05, "step": 0.1},
+        "narrow": {"min": -1.0, "max": 4.0, "choices": [5.0, 2.0, -3.0, 0.5]},
+        "choices": {"choices": [3.0, 1.0, 2.0, 1.0]},
+        "fixed": {"fixed": 20.0, "unit": "A"},
+        "log": {"min": 0.01, "max": 100.0, "scale": "log"},
+    }
+    problem = Problem.from_dict({"variables": variables, "objectives": {"f": {"reference": 1.0}}})
+    step, narrow, choices, fixed, log = problem.variables
+    assert step.values is not None
+    assert step.values.tolist() == [0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]
+    assert narrow.values is not None
+    assert narrow.values.tolist() == [0.5, 2.0]
+    assert (choices.minimum, choices.maximum, choices.choices) == (1.0, 3.0, (1.0, 2.0, 3.0))
+    assert (fixed.fixed, fixed.denormalize(-1.0), fixed.denormalize(1.0)) == (20.0, 20.0, 20.0)
+    assert [log.denormalize(x) for x in (-1.0, -0.5, 0.0, 1.0)] == pytest.approx(
+        [0.01, 0.1, 1.0, 100.0]
+    )
+    assert log.normalize(10.0) == pytest.approx(0.5)
+    assert Problem.from_dict(problem.to_dict()) == problem
+
+
+def test_a_limit_is_met_to_rounding() -> None:
+    limits = {"total": {"K1": 1.0, "phi": -2.0, "min": 410.0, "max": 500.0}}
+    problem = Problem.from_dict({**MAPPING, "limits": limits})
+    [limit] = problem.limits
+    assert limit.is_met({"K1": 500.0, "phi": 0.0})
+    assert limit.is_met({"K1": 500.0 + 1e-10, "phi": 0.0})
+    assert not limit.is_met({"K1": 500.0, "phi": -0.001})
+    assert not limit.is_met({"K1": 405.0, "phi": -1.0})
+    assert Problem.from_dict(problem.to_dict()) == problem
+    x = np.random.default_rng(0).uniform(-1.0, 1.0, (500, 2))
+    inside = [limit.is_met(problem.denormalize(row)) for row in x]
+    assert problem.domain.contains(x).tolist() == inside
+    assert 50 < sum(inside) < 450

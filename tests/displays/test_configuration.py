@@ -96,6 +96,25 @@ def test_every_fallback_is_explained(event: str, policy: str) -> None:
     assert f"({event}: {policy})" in explained(tuner={event: policy})
 
 
+def test_grids_choices_and_limits_are_explained() -> None:
+    variables = {
+        "K1": {"min": 400.0, "max": 550.0, "unit": "A", "step": 0.4},
+        "filter": {"choices": [1.0, 2.0, 5.0]},
+        "K2": {"fixed": 20.0, "unit": "A"},
+        "gain": {"min": 0.1, "max": 10.0, "scale": "log"},
+    }
+    limits = {"total": {"K1": 1.0, "K2": -2.0, "max": 500.0}}
+    text = explained({**PROBLEM, "variables": variables, "limits": limits})
+    for words in (
+        "400 to 550 A, in steps of 0.4",
+        "one of 1, 2, 5",
+        "fixed at 20 A",
+        "0.1 to 10, logarithmic",
+        "1 K1 + -2 K2 at most 500",
+    ):
+        assert words in text
+
+
 def test_only_a_critical_constraint_can_be_violated() -> None:
     problem = {name: PROBLEM[name] for name in ("variables", "objectives")}
     text = explained(problem)

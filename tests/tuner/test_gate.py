@@ -30,6 +30,8 @@ from mobo_tuner.tuner.gate import (
     EvaluationRequest,
     Gate,
     Target,
+    check_bounds,
+    check_grids,
     settle_on_bounds,
 )
 from mobo_tuner.tuner.machine_client import Answer, FeedbackCallback
@@ -52,6 +54,7 @@ def make_problem(bounds: Mapping[str, tuple[float, float]]) -> Problem:
         {
             "variables": {n: {"min": low, "max": high} for n, (low, high) in bounds.items()},
             "objectives": {name: {"reference": 20.0} for name in ("f", "g")},
+            "limits": {"sum": {"x": 1.0, "y": 1.0, "max": 11.0}},
         }
     )
 
@@ -114,8 +117,12 @@ class Trace:
         return True
 
 
-def inside(at: Mapping[str, float], problem: Problem) -> bool:
+def in_bounds(at: Mapping[str, float], problem: Problem) -> bool:
     return all(v.minimum <= at[v.name] <= v.maximum for v in problem.variables)
+
+
+def inside(at: Mapping[str, float], problem: Problem) -> bool:
+    return in_bounds(at, problem) and at["x"] + at["y"] <= 11.0 + 1e-7
 
 
 class Shift(RuleBasedStateMachine):
@@ -236,7 +243,7 @@ class Shift(RuleBasedStateMachine):
             return
         assert inside(point["setpoint"], self.problem)
         corners = [{v.name: getattr(v, side) for v in focused.problem.variables} for side in SIDES]
-        assert all(inside(corner, self.problem) for corner in corners)
+        assert all(in_bounds(corner, self.problem) for corner in corners)
         start = StartRecord("held", 0.0, focused.problem, {"model_input": "setpoint"})
         written = [json.loads(line) for line in RunLog(None, start).outline.splitlines()]
         assert History.from_records(written).problem == focused.problem
@@ -317,3 +324,28 @@ def test_only_the_gate_talks_to_the_machine() -> None:
     (gate,) = (call for call in calls if ast.unparse(call.func) == "Gate")
     given = [call for call in calls if ast.unparse(call.func) == "MachineClient"]
     assert given == [gate.args[0]]
+
+
+def test_a_queued_set_point_is_on_the_grids() -> None:
+    variables = {
+        "x": {"min": 0.0, "max": 10.0, "step": 0.5},
+        "y": {"choices": [-1.0, 2.0]},
+        "z": {"min": 0.0, "max": 1.0, "fixed": 0.5},
+    }
+    problem = Problem.from_dict({"variables": variables, "objectives": {"f": {"reference": 1.0}}})
+    check_grids(problem, {"x": 1.5, "y": 2.0, "z": 0.7})
+    for setpoint, words in (
+        ({"x": 1.6, "y": 2.0, "z": 0.5}, ("x is 1.6", "1.5 and 2")),
+        ({"x": 1.5, "y": 0.0, "z": 0.5}, ("y is 0", "-1 and 2")),
+    ):
+        with pytest.raises(BoundsError) as error:
+            check_grids(problem, setpoint)
+        assert all(word in str(error.value) for word in words)
+
+
+def test_a_limit_between_variables_is_a_bound() -> None:
+    problem = make_problem(WIDEST)
+    check_bounds(problem, {"x": 6.0, "y": 5.0})
+    check_bounds(problem, {"x": 6.0})  # a readback is missing
+    with pytest.raises(BoundsError, match=r"limit sum is 11\.5"):
+        check_bounds(problem, {"x": 6.5, "y": 5.0})

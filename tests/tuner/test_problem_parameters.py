@@ -79,7 +79,7 @@ def test_null_unsets_what_is_optional(start: Start) -> None:
 @pytest.mark.parametrize("section", SECTIONS)
 def test_the_table_of_parameters_is_what_a_problem_accepts(section: str) -> None:
     problem: dict[str, Any] = {
-        "variables": {"x": {"min": 0.0, "max": 1.0}},
+        "variables": {"VARIABLE": {"min": 0.0, "max": 1.0}},
         "objectives": {"f": {"reference": 1.0}},
     }
     problem.setdefault(section, {})["q"] = {"unknown": 1.0}

@@ -154,6 +154,13 @@ def test_the_run_of_an_operator_ends_when_little_is_expected(
     assert (result.error_code, result.stop_reason) == (0, "little_expected")
     assert 4 + SUGGESTIONS <= result.evaluations < 25
     assert result.pareto_front.hypervolume > 9.0  # of at most 15
+    assert len({(g.setpoint[0].value, g.setpoint[1].value) for g in machine.goals}) == len(
+        machine.goals
+    )
+    for goal in machine.goals:
+        at = {item.name: item.value for item in goal.setpoint}
+        assert at["x1"] == round(at["x1"] * 20.0) / 20.0  # exactly on its grid
+        assert at["x1"] + at["x2"] <= 1.5
     position = {name: pytest.approx(value) for name, value in machine.position.items()}
     front = [{i.name: i.value for i in p.setpoint} for p in result.pareto_front.points]
     assert position in front

@@ -24,12 +24,15 @@ from numpy.typing import ArrayLike
 
 from mobo_tuner.core.acquisition import AcquisitionFunction
 from mobo_tuner.core.ascent import climb_by_curvature, climb_by_signs
+from mobo_tuner.core.domain import SMALL, Domain
 from mobo_tuner.core.pareto import FloatArray
 from mobo_tuner.core.registry import Registry
 from mobo_tuner.errors import ParameterError
 from mobo_tuner.parameter_spec import check_fields, parameter, specs_of, unknown
 
 _CHUNK = 128
+_KEPT = 128  # points between those of a grid that are rounded
+_POLISHES = 50  # most moves to better neighbours
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,7 @@ class Maximizer(ABC):
         excluded: ArrayLike | None = None,
         tolerance: ArrayLike = 1e-6,
         seconds: float | None = None,
+        domain: Domain | None = None,
     ) -> Maximum | None:
         """Look for the largest value of an acquisition function.
 
@@ -86,6 +90,7 @@ class Maximizer(ABC):
                 in any variable or, as `(k, d)`, in each variable for each point; variables span 2.
             seconds: Time budget [s], None for no limit. The first few points are evaluated in any
                 case.
+            domain: Points that may be proposed; None for all of the box.
 
         Returns:
             The best candidate, or None if the acquisition function was zero wherever it was
@@ -94,9 +99,19 @@ class Maximizer(ABC):
         Raises:
             ValueError: If an argument does not fit.
         """
-        search = Search(acquisition, n_variables, excluded, tolerance, seconds)
         seeds = _as_rows(starts, "starts", n_variables)
-        return search.run(lambda: self.explore(search, seeds, rng))
+        if domain is None or domain.is_box:
+            search = Search(acquisition, n_variables, excluded, tolerance, seconds)
+            return search.run(lambda: self.explore(search, seeds, rng))
+        within = DomainSearch(acquisition, domain, excluded, tolerance, seconds)
+        if domain.size <= SMALL:
+            return within.run(within.look_everywhere)
+
+        def round_and_polish() -> None:
+            self.explore(within, seeds, rng)
+            within.polish()
+
+        return within.run(round_and_polish)
 
     @abstractmethod
     def explore(self, search: Search, seeds: FloatArray, rng: np.random.Generator) -> None:
@@ -341,6 +356,58 @@ class Search:
         if allowed[i] > self._best_value:
             self._best, self._best_value = x[i].copy(), float(allowed[i])
         return allowed
+
+
+class DomainSearch(Search):
+    """A search whose candidates are on the grids and within the limits of a domain.
+
+    Values are those of the nearest allowed points, the only ones that are kept. Gradients lead through
+    the points in between, so that a grid has a slope; where they lead is rounded and polished.
+    """
+
+    def __init__(
+        self,
+        acquisition: AcquisitionFunction,
+        domain: Domain,
+        excluded: ArrayLike | None,
+        tolerance: ArrayLike,
+        seconds: float | None,
+    ) -> None:
+        super().__init__(acquisition, len(domain.values), excluded, tolerance, seconds)
+        self._domain = domain
+        self._between = np.empty((0, self.n_variables))
+        self._between_values = np.empty(0)
+
+    def values(self, x: FloatArray) -> FloatArray:
+        """Return the values `(m,)` at the nearest allowed points, minus infinity at excluded ones."""
+        return super().values(self._domain.nearest(x))
+
+    def values_with_gradient(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the values `(m,)` and gradients `(m, d)` within the limits, whatever the grids."""
+        self._check_time()
+        x = self._domain.project(x)
+        value, gradient = self._acquisition.log_value_with_gradient(x)
+        value = np.where(np.isnan(value), -np.inf, value)
+        points = np.vstack([self._between, x])
+        values = np.concatenate([self._between_values, value])
+        best = np.argsort(-values, kind="stable")[:_KEPT]
+        self._between, self._between_values = points[best], values[best]
+        return value, gradient
+
+    def look_everywhere(self) -> None:
+        """Evaluate every point of a finite domain."""
+        self.values(self._domain.points())
+
+    def polish(self) -> None:
+        """Round the best points in between, and move the best allowed ones to better neighbours."""
+        self.values(self._between)
+        for _ in range(_POLISHES):
+            if self._best is None:
+                return
+            before = self._best_value
+            self.values(self._domain.neighbours(self._best))
+            if self._best_value <= before:
+                return
 
 
 def _spread_out(

@@ -65,14 +65,14 @@ class CandidateSearch:
         design = initial_design(
             self._settings.initial_design,
             self._archive.initial_evaluations,
-            len(self._problem.variables),
+            self._problem.domain,
             self._seed,
         )
         point: Array = np.asarray(design[index])
         used = taken(self._data)
         if used.contains(point[None])[0] and not self._models.is_noisy(self._data):
             rng = np.random.default_rng([self._seed, 4, index])
-            return explore(self._data.inputs, used, rng)
+            return explore(self._data.inputs, used, rng, domain=self._problem.domain)
         return point
 
     def candidate(self) -> Array:
@@ -81,7 +81,7 @@ class CandidateSearch:
         rng = np.random.default_rng([self._seed, 2, len(self._data)])
         inputs, failed = self._data.inputs, self._data.failed
         if not self._models.ready:
-            return explore(inputs, taken(self._data), rng)
+            return explore(inputs, taken(self._data), rng, domain=self._problem.domain)
         unconfirmed = self._unconfirmed()
         if unconfirmed is not None:
             return unconfirmed
@@ -146,7 +146,9 @@ class CandidateSearch:
             distances = np.abs(inputs[index + 1 :] - inputs[index]).max(axis=1)
             if (distances[data.valid[index + 1 :]] > 2.0 * CONFIRMING_STEP).all():
                 inward = np.where(inputs[index] > 0.0, -1.0, 1.0)
-                return np.asarray(inputs[index] + CONFIRMING_STEP * inward)
+                beside = np.asarray(inputs[index] + CONFIRMING_STEP * inward)
+                domain = self._problem.domain
+                return beside if domain.is_box else domain.nearest(beside[None])[0]
         return None
 
     @property
@@ -171,6 +173,7 @@ class CandidateSearch:
             excluded=excluded,
             tolerance=tolerance,
             seconds=self._seconds_left,
+            domain=self._problem.domain,
         )
         return None if maximum is None else maximum.x
 
@@ -213,7 +216,8 @@ class CandidateSearch:
         """Return a point far from all evaluations that may be feasible and valid, shape ``(d,)``."""
         factors = self._factors(informed=True)
         weight = reduce(mul, factors).log_value if factors else None
-        return explore(self._data.inputs, taken(self._data), rng, weight)
+        used = taken(self._data)
+        return explore(self._data.inputs, used, rng, weight, self._problem.domain)
 
     def acquisition_function(
         self, nearest: bool = False, tails: bool = True

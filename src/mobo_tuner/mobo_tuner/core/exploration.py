@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 from scipy.stats import qmc
 
+from mobo_tuner.core.domain import SMALL, Domain
 from mobo_tuner.core.problem import Array
-from mobo_tuner.core.resolution import Taken
+from mobo_tuner.core.resolution import SAME, Taken
 
 _POINTS = 1024
 _TO_IMAGE = 2.0  # what lies beyond a bound is the mirror image of what lies inside
@@ -24,6 +25,7 @@ def explore(
     taken: Taken,
     rng: np.random.Generator,
     log_weight: Callable[[Array], Array] | None = None,
+    domain: Domain | None = None,
 ) -> Array:
     """Return the quasi-random point that is farthest from all inputs, shape ``(d,)``.
 
@@ -35,10 +37,21 @@ def explore(
         taken: What must not be proposed, unless there is nothing else.
         rng: Random number generator.
         log_weight: Logarithm of a weight of the distance at points ``(m, d)``, shape ``(m,)``.
+        domain: Points that may be proposed; None for all of the box. The ends of a grid are no mirrors.
     """
     d = inputs.shape[1]
-    points: Array = 2.0 * qmc.Sobol(d, seed=rng).random(_POINTS) - 1.0
-    nearest = _TO_IMAGE * (1.0 - np.abs(points)).min(axis=1)
+    if domain is None or domain.is_box:
+        points: Array = 2.0 * qmc.Sobol(d, seed=rng).random(_POINTS) - 1.0
+        nearest = _TO_IMAGE * (1.0 - np.abs(points)).min(axis=1)
+    else:
+        points = domain.draw(max(_POINTS, SMALL), rng)
+        fresh = ~taken.contains(points)
+        if not fresh.any():  # every point was measured: again where that was done least often
+            times = (cdist(points, inputs) <= SAME).sum(axis=1)
+            fresh = times == times.min()
+        points = points[fresh]
+        free = ~domain.discrete
+        nearest = _TO_IMAGE * (1.0 - np.abs(points[:, free])).min(axis=1, initial=1.0)
     if len(inputs):
         nearest = np.minimum(nearest, cdist(points, inputs).min(axis=1))
     with np.errstate(divide="ignore"):

@@ -95,8 +95,15 @@ def around(
             raise ProblemError(
                 f"the point's {v.name} is {center:g}, outside the bounds; {allowed} is allowed"
             )
-        reach = radius * (v.maximum - v.minimum)
-        low, high = max(low, center - reach), min(high, center + reach)
+        if v.fixed is None:
+            at, continuous = v.normalize(center), replace(v, step=0.0, choices=())
+            reach = (at - 2.0 * radius, at + 2.0 * radius)
+            if v.scale == "log":
+                least, most = (continuous.denormalize(end) for end in reach)
+            else:
+                half = radius * (v.maximum - v.minimum)
+                least, most = center - half, center + half
+            low, high = max(low, least), min(high, most)
         variables.append(replace(v, minimum=low, maximum=high))
     return Problem.from_dict(replace(problem, variables=tuple(variables)).to_dict())
 

@@ -4,26 +4,53 @@ from __future__ import annotations
 
 import numpy as np
 
+from mobo_tuner.core.domain import TOLERANCE, Domain
 from mobo_tuner.core.problem import Array
 
+_POOL = 2048  # allowed points among which replacements are sought
 DESIGNS = ("latin_hypercube", "random")
 
 
-def initial_design(kind: str, n: int, d: int, seed: int) -> Array:
-    """Draw `n` points of ``[-1, 1]^d``, shape ``(n, d)``.
+def initial_design(kind: str, n: int, domain: Domain, seed: int) -> Array:
+    """Draw `n` points of a domain of ``[-1, 1]^d``, shape ``(n, d)``.
 
     They depend on the arguments alone.
 
     Args:
         kind: "latin_hypercube" to distribute the points along each axis ([Roussel2021]_, section
             subsec:convergence), or "random" to draw them uniformly (its toy problem).
-        n: Number of points.
-        d: Number of variables.
+        n: Number of points. They are different from each other, unless the domain has fewer.
+        domain: Domain of d variables.
         seed: Seed of the random number generator.
     """
     from scipy.stats import qmc  # takes half a second, which a check of settings does not need
 
+    d = len(domain.values)
     rng = np.random.default_rng([seed, 0])
     spread = kind == "latin_hypercube"
     unit = qmc.LatinHypercube(d, seed=rng).random(n) if spread else rng.random((n, d))
-    return np.asarray(2.0 * unit - 1.0)
+    points: Array = np.asarray(2.0 * unit - 1.0)
+    return points if domain.is_box else _fitted(points, domain, rng)
+
+
+def _fitted(points: Array, domain: Domain, rng: np.random.Generator) -> Array:
+    """Return points ``(n, d)`` on the grids; those outside the limits or twice there are replaced.
+
+    Each of these is replaced by the allowed point that is farthest from all others.
+    """
+    from scipy.spatial.distance import cdist
+
+    snapped = domain.snap(points)
+    pool = domain.draw(_POOL, rng)
+    kept = np.zeros(len(points), dtype=np.bool_)
+    for i in np.flatnonzero(domain.contains(snapped)):
+        kept[i] = not (np.abs(snapped[kept] - snapped[i]) <= TOLERANCE).all(axis=1).any()
+    for i in np.flatnonzero(~kept):
+        others = snapped[kept]
+        distances = cdist(pool, others).min(axis=1) if len(others) else np.ones(len(pool))
+        # Once all are used, each comes again as often as any other.
+        times = (cdist(pool, others) <= TOLERANCE).sum(axis=1) if len(others) else distances
+        fewest = np.flatnonzero(times == times.min())
+        snapped[i] = pool[fewest[distances[fewest].argmax()]]
+        kept[i] = True
+    return snapped

@@ -42,11 +42,15 @@ def predict_front(
     d = len(problem.variables)
     front = 2.0 * qmc.Sobol(d, seed=rng).random(_FIRST) - 1.0
     front = np.vstack([front, np.clip(known, -1.0, 1.0)])
+    if not problem.domain.is_box:
+        front = problem.domain.nearest(front)
     front, means = _survivors(problem, models, front, size)
     for step in np.geomspace(*_STEPS, GENERATIONS):
         if len(front) == 0:
             break
         children = _children(front, step, rng)
+        if not problem.domain.is_box:
+            children = problem.domain.nearest(children)
         front, means = _survivors(problem, models, np.vstack([front, children]), size)
     stddevs = np.empty_like(means)
     for column, model in enumerate(models.objectives):

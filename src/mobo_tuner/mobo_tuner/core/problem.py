@@ -12,19 +12,21 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mobo_tuner.core.domain import Domain, EmptyDomainError
 from mobo_tuner.core.problem_definition import (
     SECTIONS,
     Quantities,
     definition_of,
     read_definition,
 )
-from mobo_tuner.core.quantities import Constraint, Objective, Observable, Variable
+from mobo_tuner.core.quantities import Constraint, Limit, Objective, Observable, Variable
 from mobo_tuner.core.values import (
     LARGEST,
     ProblemError,
@@ -43,6 +45,7 @@ __all__ = [
     "SECTIONS",
     "Array",
     "Constraint",
+    "Limit",
     "Objective",
     "Observable",
     "Problem",
@@ -84,6 +87,7 @@ class Problem:
     objectives: tuple[Objective, ...]
     constraints: tuple[Constraint, ...] = ()
     observables: tuple[Observable, ...] = ()
+    limits: tuple[Limit, ...] = ()
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> Problem:
@@ -127,12 +131,21 @@ class Problem:
                     f"{len(problem.objectives)} objectives at most {problem.largest_reading:g} in "
                     "magnitude is allowed, so that the hypervolume is a finite number"
                 )
+        try:
+            _ = problem.domain
+        except EmptyDomainError:
+            names = listed(f"limits.{limit.name}" for limit in problem.limits)
+            raise ProblemError(
+                f"no set-point within the bounds and on the grids meets {names}: widen them"
+            ) from None
         return problem
 
     def to_dict(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Return the mapping from which :meth:`from_dict` builds an equal problem."""
         return definition_of(
-            Quantities(self.variables, self.objectives, self.constraints, self.observables)
+            Quantities(
+                self.variables, self.objectives, self.constraints, self.observables, self.limits
+            )
         )
 
     @property
@@ -266,18 +279,33 @@ class Problem:
 
     def denormalize(self, x: Array) -> dict[str, float]:
         """Return the set-point inside the bounds, in physical units, for ``x`` ``(d,)`` in ``[-1, 1]``."""
-        return {
-            v.name: min(
-                max(v.minimum + 0.5 * (float(xi) + 1.0) * (v.maximum - v.minimum), v.minimum),
-                v.maximum,
-            )
-            for v, xi in zip(self.variables, x, strict=True)
-        }
+        return {v.name: v.denormalize(float(xi)) for v, xi in zip(self.variables, x, strict=True)}
+
+    @cached_property
+    def domain(self) -> Domain:
+        """Normalised set-points that may be suggested.
+
+        Raises:
+            EmptyDomainError: If there is none.
+        """
+        places = [v.places for v in self.variables]
+        if not self.limits:
+            return Domain(places)
+        half = np.array([0.5 * (v.maximum - v.minimum) for v in self.variables])
+        middle = np.array([v.minimum for v in self.variables]) + half
+        by_name = [dict(limit.coefficients) for limit in self.limits]
+        weights = np.array([[c.get(n, 0.0) for n in self.variable_names] for c in by_name])
+        ends = np.array([[limit.minimum, limit.maximum] for limit in self.limits])
+        scaled, ends = weights * half, ends - (weights @ middle)[:, None]
+        size = np.abs(scaled).max(axis=1, keepdims=True)
+        return Domain(places, scaled / size, *(ends / size).T)
 
     def columns(self, x: Array) -> dict[str, Array]:
         """Return set-points ``x`` ``(n, d)`` in ``[-1, 1]`` as one array ``(n,)`` per variable, in its unit."""
         return {
-            v.name: v.minimum + 0.5 * (x[:, j] + 1.0) * (v.maximum - v.minimum)
+            v.name: v.minimum * (v.maximum / v.minimum) ** (0.5 * (x[:, j] + 1.0))
+            if v.scale == "log"
+            else v.minimum + 0.5 * (x[:, j] + 1.0) * (v.maximum - v.minimum)
             for j, v in enumerate(self.variables)
         }
 
@@ -308,7 +336,8 @@ class Problem:
                     f"variable '{variable.name}' is not one of the machine's: {listed(limits)}"
                 )
             low, high = limits[variable.name]
-            for key, value in (("min", variable.minimum), ("max", variable.maximum)):
+            ends = [("min", variable.minimum), ("max", variable.maximum)]
+            for key, value in ends if variable.fixed is None else [("fixed", variable.fixed)]:
                 if not low <= value <= high:
                     raise ProblemError(
                         f"variables.{variable.name}.{key} is {value:g} {variable.unit}".rstrip()

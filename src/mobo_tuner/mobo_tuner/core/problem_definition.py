@@ -7,7 +7,14 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from mobo_tuner.core.quantities import Constraint, Objective, Observable, Variable
+from mobo_tuner.core.quantities import (
+    Constraint,
+    Limit,
+    Objective,
+    Observable,
+    Scale,
+    Variable,
+)
 from mobo_tuner.core.values import (
     LARGEST,
     ProblemError,
@@ -17,7 +24,9 @@ from mobo_tuner.core.values import (
     describe,
 )
 
-SECTIONS = ("variables", "objectives", "constraints", "observables")
+SECTIONS = ("variables", "limits", "objectives", "constraints", "observables")
+MOST_VALUES = 2_000_000
+"""Largest number of values on the grid of a variable."""
 _FINEST = 1e-12  # least range of a variable, relative to its bounds
 _NAME = re.compile(r"(?!.*__)[A-Za-z][A-Za-z0-9_]*")
 
@@ -29,13 +38,14 @@ class Quantities(NamedTuple):
     objectives: tuple[Objective, ...]
     constraints: tuple[Constraint, ...]
     observables: tuple[Observable, ...]
+    limits: tuple[Limit, ...]
 
 
 def read_definition(mapping: Mapping[str, Any]) -> Quantities:
     """Return the quantities that a mapping defines.
 
     Args:
-        mapping: Content of a ROS parameter file, or the four sections alone.
+        mapping: Content of a ROS parameter file, or the sections alone.
 
     Raises:
         ProblemError: If a key is unknown or missing, or a value has the wrong type or is not allowed.
@@ -46,19 +56,26 @@ def read_definition(mapping: Mapping[str, Any]) -> Quantities:
     for name in ("variables", "objectives"):
         if not sections[name]:
             raise ProblemError(f"'{name}' is missing or empty: at least one is needed")
+    variables = tuple(_variable(n, m) for n, m in sections["variables"].items())
     return Quantities(
-        variables=tuple(_variable(n, m) for n, m in sections["variables"].items()),
+        variables=variables,
         objectives=tuple(_objective(n, m) for n, m in sections["objectives"].items()),
         constraints=tuple(_constraint(n, m) for n, m in sections["constraints"].items()),
         observables=tuple(_observable(n, m) for n, m in sections["observables"].items()),
+        limits=tuple(_limit(n, m, variables) for n, m in sections["limits"].items()),
     )
 
 
 def definition_of(quantities: Quantities) -> dict[str, dict[str, dict[str, Any]]]:
     """Return the mapping from which `read_definition` reads equal quantities."""
+    limits = {limit.name: _limit_entry(limit) for limit in quantities.limits}
     return {
         "variables": {
             v.name: {"min": v.minimum, "max": v.maximum, "unit": v.unit, "cost": v.cost}
+            | ({"step": v.step} if v.step else {})
+            | ({"choices": list(v.choices)} if v.choices else {})
+            | ({"scale": v.scale} if v.scale != "linear" else {})
+            | ({"fixed": v.fixed} if v.fixed is not None else {})
             for v in quantities.variables
         },
         "objectives": {
@@ -83,6 +100,7 @@ def definition_of(quantities: Quantities) -> dict[str, dict[str, dict[str, Any]]
         "observables": {
             o.name: {"unit": o.unit} | _invalid_entry(o) for o in quantities.observables
         },
+        **({"limits": limits} if limits else {}),
     }
 
 
@@ -120,9 +138,81 @@ def _section(parameters: Mapping[str, Any], name: str) -> Mapping[str, Mapping[s
 
 def _variable(name: str, entry: Mapping[str, Any]) -> Variable:
     where = f"variables.{name}"
-    check_names(where, entry, ("min", "max", "unit", "cost"))
-    low = as_number(f"{where}.min", _required(where, entry, "min"))
-    high = as_number(f"{where}.max", _required(where, entry, "max"))
+    check_names(where, entry, ("min", "max", "unit", "cost", "step", "choices", "scale", "fixed"))
+    scale = _scale(where, entry)
+    fixed = None if entry.get("fixed") is None else as_number(f"{where}.fixed", entry["fixed"])
+    choices = _choices(where, entry)
+    low, high = _bounds(where, entry, choices, fixed, scale)
+    cost = as_number(f"{where}.cost", entry.get("cost", 1.0))
+    if cost < 0.0:
+        raise ProblemError(f"{where}.cost is {cost:g}, which must not be negative")
+    if fixed is not None and not low <= fixed <= high:
+        raise ProblemError(f"{where}.fixed is {fixed:g}; {low:g} to {high:g} is allowed")
+    step = _step(where, entry, low, high)
+    if step and choices:
+        raise ProblemError(f"{where} has a step and choices; one of the two is allowed")
+    unit = as_string(f"{where}.unit", entry.get("unit", ""))
+    variable = Variable(name, low, high, unit, cost, step, choices, scale, fixed)
+    if variable.values is not None and not len(variable.values):
+        kind = f"multiple of the step {step:g}" if step else "of its choices"
+        raise ProblemError(f"{where}.min to max is {low:g} to {high:g}, with no {kind} in between")
+    return variable
+
+
+def _scale(where: str, entry: Mapping[str, Any]) -> Scale:
+    scale = entry.get("scale", "linear")
+    if scale == "log":
+        return "log"
+    if scale == "linear":
+        return "linear"
+    raise ProblemError(f"{where}.scale is {scale!r}; 'linear' and 'log' are allowed")
+
+
+def _choices(where: str, entry: Mapping[str, Any]) -> tuple[float, ...]:
+    if entry.get("choices") is None:
+        return ()
+    choices = _numbers(f"{where}.choices", entry["choices"])
+    if len(set(choices)) < 2:
+        raise ProblemError(
+            f"{where}.choices is {list(choices)}; at least two numbers are allowed, and 'fixed' for one"
+        )
+    return tuple(sorted(set(choices)))
+
+
+def _step(where: str, entry: Mapping[str, Any], low: float, high: float) -> float:
+    if entry.get("step") is None:
+        return 0.0
+    step = as_number(f"{where}.step", entry["step"])
+    if not step > 0.0:
+        raise ProblemError(f"{where}.step is {step:g}, which must be greater than 0")
+    if (high - low) / step > MOST_VALUES or max(abs(low), abs(high)) / step > 1e15:
+        raise ProblemError(
+            f"{where}.step is {step:g}, too fine for {low:g} to {high:g}: at most {MOST_VALUES} values "
+            "are allowed; leave it out for a variable that is nearly continuous"
+        )
+    return step
+
+
+def _bounds(
+    where: str,
+    entry: Mapping[str, Any],
+    choices: tuple[float, ...],
+    fixed: float | None,
+    scale: Scale,
+) -> tuple[float, float]:
+    """Return the bounds; those that are left out are those of the choices, or around a fixed value."""
+    least, most = (choices[0], choices[-1]) if choices else (None, None)
+    if fixed is not None and not choices:
+        around = max(0.5 * abs(fixed), 1.0 / LARGEST) if fixed else 1.0
+        least, most = fixed - around, fixed + around
+    bounds = {}
+    for key, instead in (("min", least), ("max", most)):
+        given = entry.get(key)
+        bounds[key] = as_number(
+            f"{where}.{key}",
+            instead if given is None and instead is not None else _required(where, entry, key),
+        )
+    low, high = bounds["min"], bounds["max"]
     if not low < high:
         raise ProblemError(f"{where}.min is {low:g}, which must be less than its max of {high:g}")
     if high - low < max(_FINEST * max(abs(low), abs(high)), 1.0 / LARGEST):
@@ -130,10 +220,35 @@ def _variable(name: str, entry: Mapping[str, Any]) -> Variable:
             f"{where}.max is {high!r}, too near to its min of {low!r}: a range of at least "
             f"{_FINEST:g} of the bounds, and of {1.0 / LARGEST:g}, is allowed"
         )
-    cost = as_number(f"{where}.cost", entry.get("cost", 1.0))
-    if cost < 0.0:
-        raise ProblemError(f"{where}.cost is {cost:g}, which must not be negative")
-    return Variable(name, low, high, as_string(f"{where}.unit", entry.get("unit", "")), cost)
+    if scale == "log" and not low > 0.0:
+        raise ProblemError(f"{where}.min is {low:g}; with scale log it must be greater than 0")
+    return low, high
+
+
+def _limit(name: str, entry: Mapping[str, Any], variables: Sequence[Variable]) -> Limit:
+    where = f"limits.{name}"
+    scales = {v.name: v.scale for v in variables}
+    check_names(where, entry, (*scales, "min", "max"))
+    low, high = _ends(where, entry)
+    coefficients = []
+    for variable, value in entry.items():
+        if variable in ("min", "max"):
+            continue
+        if scales[variable] == "log":
+            raise ProblemError(
+                f"{where} has {variable}, whose scale is log; only linear ones are allowed"
+            )
+        coefficient = as_number(f"{where}.{variable}", value)
+        if coefficient:
+            coefficients.append((variable, coefficient))
+    if not coefficients:
+        raise ProblemError(f"{where} has no variable: each needs a coefficient other than 0")
+    return Limit(name, tuple(coefficients), low, high)
+
+
+def _limit_entry(limit: Limit) -> dict[str, float]:
+    ends = (("min", limit.minimum), ("max", limit.maximum))
+    return dict(limit.coefficients) | {key: end for key, end in ends if math.isfinite(end)}
 
 
 def _objective(name: str, entry: Mapping[str, Any]) -> Objective:
@@ -164,12 +279,7 @@ def _objective(name: str, entry: Mapping[str, Any]) -> Objective:
 def _constraint(name: str, entry: Mapping[str, Any]) -> Constraint:
     where = f"constraints.{name}"
     check_names(where, entry, ("min", "max", "unit", "critical", "invalid"))
-    if "min" not in entry and "max" not in entry:
-        raise ProblemError(f"{where} needs 'min', 'max' or both")
-    low = as_number(f"{where}.min", entry["min"]) if "min" in entry else -math.inf
-    high = as_number(f"{where}.max", entry["max"]) if "max" in entry else math.inf
-    if not low < high:
-        raise ProblemError(f"{where}.min is {low:g}, which must be less than its max of {high:g}")
+    low, high = _ends(where, entry)
     critical = entry.get("critical", False)
     if not isinstance(critical, bool):
         raise ProblemError(f"{where}.critical must be true or false, not {describe(critical)}")
@@ -184,13 +294,26 @@ def _observable(name: str, entry: Mapping[str, Any]) -> Observable:
     return Observable(name, unit, _invalid(where, entry))
 
 
+def _ends(where: str, entry: Mapping[str, Any]) -> tuple[float, float]:
+    """Return the ends of a limit, at least one of which is finite."""
+    if "min" not in entry and "max" not in entry:
+        raise ProblemError(f"{where} needs 'min', 'max' or both")
+    low = as_number(f"{where}.min", entry["min"]) if "min" in entry else -math.inf
+    high = as_number(f"{where}.max", entry["max"]) if "max" in entry else math.inf
+    if not low < high:
+        raise ProblemError(f"{where}.min is {low:g}, which must be less than its max of {high:g}")
+    return low, high
+
+
 def _invalid(where: str, entry: Mapping[str, Any]) -> tuple[float, ...]:
     values = entry.get("invalid")
-    if values is None:
-        return ()
+    return () if values is None else _numbers(f"{where}.invalid", values)
+
+
+def _numbers(where: str, values: object) -> tuple[float, ...]:
     if isinstance(values, str) or not isinstance(values, Sequence):
-        raise ProblemError(f"{where}.invalid must be a list of numbers, not {describe(values)}")
-    return tuple(as_number(f"{where}.invalid", value) for value in values)
+        raise ProblemError(f"{where} must be a list of numbers, not {describe(values)}")
+    return tuple(as_number(where, value) for value in values)
 
 
 def _invalid_entry(quantity: Objective | Constraint | Observable) -> dict[str, list[float]]:

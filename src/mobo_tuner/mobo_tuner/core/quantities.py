@@ -1,12 +1,22 @@
-"""What a problem is made of: variables, objectives, constraints and observables."""
+"""What a problem is made of: variables, limits, objectives, constraints and observables."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 Direction = Literal["minimize", "maximize"]
+Scale = Literal["linear", "log"]
+
+LIMIT_TOLERANCE = 1e-9
+"""Excess of a limit, relative to the largest of its terms and ends, that is rounding."""
+_ON_GRID = 1e-9  # distance from a multiple, in steps, that is rounding
 
 
 @dataclass(frozen=True)
@@ -19,6 +29,10 @@ class Variable:
         maximum: Upper bound [`unit`].
         unit: Unit.
         cost: Relative cost of changing it, for proximal biasing.
+        step: Step of its grid, the multiples of the step [`unit`]; 0 = none.
+        choices: Values that it may have, in ascending order [`unit`]; empty = any.
+        scale: "log" if its ratios matter and not its differences.
+        fixed: Only value that is suggested [`unit`]; None = it is not fixed.
     """
 
     name: str
@@ -26,10 +40,81 @@ class Variable:
     maximum: float
     unit: str = ""
     cost: float = 1.0
+    step: float = 0.0
+    choices: tuple[float, ...] = ()
+    scale: Scale = "linear"
+    fixed: float | None = None
+
+    @cached_property
+    def values(self) -> NDArray[np.float64] | None:
+        """Values that may be suggested, in ascending order [`unit`]; None if any within the bounds may."""
+        if self.fixed is not None:
+            return np.array([self.fixed])
+        if self.choices:
+            return np.array([c for c in self.choices if self.minimum <= c <= self.maximum])
+        if not self.step:
+            return None
+        first = math.ceil(self.minimum / self.step - _ON_GRID)
+        last = math.floor(self.maximum / self.step + _ON_GRID)
+        # A multiple of 0.1 is the number that is written so, 0.3 and not 0.30000000000000004.
+        multiples = [float(f"{k * self.step:.15g}") for k in range(first, last + 1)]
+        return np.asarray(np.clip(multiples, self.minimum, self.maximum))
+
+    @cached_property
+    def places(self) -> NDArray[np.float64] | None:
+        """Normalised `values`; None if there are none."""
+        return None if self.values is None else np.array([self.normalize(v) for v in self.values])
 
     def normalize(self, value: float) -> float:
         """Scale a value [`unit`] so that the bounds are -1 and 1."""
+        if self.scale == "log":
+            if not value > 0.0:
+                return -math.inf
+            return (
+                2.0 * math.log(value / self.minimum) / math.log(self.maximum / self.minimum) - 1.0
+            )
         return 2.0 * (value - self.minimum) / (self.maximum - self.minimum) - 1.0
+
+    def denormalize(self, x: float) -> float:
+        """Return the value [`unit`] for a place in [-1, 1], inside the bounds and on the grid."""
+        if self.places is not None and self.values is not None:
+            return float(self.values[int(np.abs(self.places - x).argmin())])
+        if self.scale == "log":
+            value = self.minimum * math.pow(self.maximum / self.minimum, 0.5 * (x + 1.0))
+        else:
+            value = self.minimum + 0.5 * (x + 1.0) * (self.maximum - self.minimum)
+        return min(max(value, self.minimum), self.maximum)
+
+    def is_allowed(self, value: float) -> bool:
+        """Return whether a value [`unit`] is inside the bounds and on the grid, to rounding."""
+        if self.values is None:
+            return self.minimum <= value <= self.maximum
+        nearest = float(self.values[int(np.abs(self.values - value).argmin())])
+        return math.isclose(nearest, value, rel_tol=_ON_GRID, abs_tol=_ON_GRID * self.step)
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A limit on a weighted sum of variables: ``minimum <= sum <= maximum``.
+
+    Attributes:
+        name: Name of the sum.
+        coefficients: Coefficient of each variable in it, by name.
+        minimum: Lower end.
+        maximum: Upper end.
+    """
+
+    name: str
+    coefficients: tuple[tuple[str, float], ...]
+    minimum: float = -math.inf
+    maximum: float = math.inf
+
+    def is_met(self, setpoint: Mapping[str, float]) -> bool:
+        """Return whether a set-point meets the limit, to rounding."""
+        terms = [coefficient * setpoint[name] for name, coefficient in self.coefficients]
+        ends = [abs(end) for end in (self.minimum, self.maximum) if math.isfinite(end)]
+        slack = LIMIT_TOLERANCE * max(*map(abs, terms), *ends)
+        return self.minimum - slack <= math.fsum(terms) <= self.maximum + slack
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mobo_tuner.core.problem import Constraint, Objective, Problem, Variable
+from mobo_tuner.core.problem import Constraint, Limit, Objective, Problem, Variable
 from mobo_tuner.machine.description import MachineDescription
 
 _FALLBACKS = {
@@ -51,6 +51,8 @@ def explanation(configuration: Configuration) -> list[str]:
     lines = [f"{configuration.path} is good; a run with it means:"]
     lines += _entry("machine", _machine(configuration))
     lines += _entry("variables", _table(map(_variable, problem.variables)))
+    if problem.limits:
+        lines += _entry("limits", _table(map(_limit, problem.limits)))
     lines += _entry("objectives", _table(map(_objective, problem.objectives)))
     lines += _entry("constraints", _table(map(_constraint, problem.constraints)) or ["none"])
     observables = ", ".join(
@@ -79,8 +81,24 @@ def _machine(configuration: Configuration) -> list[str]:
 
 
 def _variable(variable: Variable) -> tuple[str, str]:
-    bounds = f"{variable.minimum:g} to {variable.maximum:g}"
-    return variable.name, _quantity(bounds, variable.unit)
+    values = variable.values
+    if values is None:
+        bounds = f"{variable.minimum:g} to {variable.maximum:g}"
+    elif variable.fixed is not None:
+        bounds = f"fixed at {variable.fixed:g}"
+    elif variable.choices:
+        bounds = f"one of {', '.join(f'{value:g}' for value in values)}"
+    else:
+        bounds = f"{values[0]:g} to {values[-1]:g}"
+    text = _quantity(bounds, variable.unit)
+    if variable.step and variable.fixed is None:
+        text += f", in steps of {variable.step:g}"
+    return variable.name, text + (", logarithmic" if variable.scale == "log" else "")
+
+
+def _limit(limit: Limit) -> tuple[str, str]:
+    terms = " + ".join(f"{coefficient:g} {name}" for name, coefficient in limit.coefficients)
+    return limit.name, f"{terms} {_ends_of(limit)}"
 
 
 def _objective(objective: Objective) -> tuple[str, str]:
@@ -94,13 +112,16 @@ def _objective(objective: Objective) -> tuple[str, str]:
 
 
 def _constraint(constraint: Constraint) -> tuple[str, str]:
-    low, high = constraint.minimum, constraint.maximum
-    if math.isfinite(low) and math.isfinite(high):
-        text = f"{low:g} to {high:g}"
-    else:
-        text = f"at least {low:g}" if math.isfinite(low) else f"at most {high:g}"
+    text = _ends_of(constraint)
     critical = ", critical: one shot beyond it ends the evaluation" if constraint.critical else ""
     return constraint.name, _quantity(text, constraint.unit) + critical
+
+
+def _ends_of(limit: Constraint | Limit) -> str:
+    low, high = limit.minimum, limit.maximum
+    if math.isfinite(low) and math.isfinite(high):
+        return f"{low:g} to {high:g}"
+    return f"at least {low:g}" if math.isfinite(low) else f"at most {high:g}"
 
 
 def _method(tuner: Mapping[str, Any]) -> str:

@@ -146,6 +146,8 @@ def _at_bounds(
     """Say at which bounds most of the front is, where the machine could go farther."""
     hints = []
     for v in problem.variables:
+        if v.fixed is not None or v.choices:
+            continue
         low, high = limits.get(v.name, (-math.inf, math.inf))
         margin = AT_BOUND * (v.maximum - v.minimum)
         for key, bound, farther in (

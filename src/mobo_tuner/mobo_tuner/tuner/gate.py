@@ -107,9 +107,9 @@ class Observer(Protocol):
 class Gate:
     """Checks every set-point that the tuner sends, and is the only one that talks to the machine.
 
-    A set-point must be inside the bounds of the tuner's problem as it is at that moment and inside the
-    machine's limits. Only a target with an operator's word, `anyway`, may cross the bounds; nothing may
-    cross the limits.
+    A set-point must be inside the bounds and limits of the tuner's problem as it is at that moment, and
+    inside the machine's limits. Only a target with an operator's word, `anyway`, may cross those of the
+    problem; nothing may cross those of the machine.
 
     Args:
         machine: Client of the machine.
@@ -266,13 +266,36 @@ class Gate:
 
 
 def check_bounds(problem: Problem, setpoint: Mapping[str, float]) -> None:
-    """Check that a set-point is inside the bounds of a problem, as far as this has its variables.
+    """Check that a set-point is inside the bounds and limits of a problem, as far as it has the variables.
 
     Raises:
         BoundsError: If it is outside.
     """
     for v in problem.variables:
         _check_range(v.name, setpoint, v.minimum, v.maximum, v.unit)
+    for limit in problem.limits:
+        if all(name in setpoint for name, _ in limit.coefficients) and not limit.is_met(setpoint):
+            total = sum(c * setpoint[name] for name, c in limit.coefficients)
+            raise BoundsError(
+                f"the limit {limit.name} is {total:g} there; "
+                f"{limit.minimum:g} to {limit.maximum:g} is allowed"
+            )
+
+
+def check_grids(problem: Problem, setpoint: Mapping[str, float]) -> None:
+    """Check that a set-point is on the grids of a problem; what is fixed may have any value.
+
+    Raises:
+        BoundsError: If it is not.
+    """
+    for v in problem.variables:
+        value = setpoint[v.name]
+        if v.fixed is None and v.values is not None and not v.is_allowed(value):
+            nearest = sorted(v.values.tolist(), key=lambda allowed: abs(allowed - value))[:2]
+            raise BoundsError(
+                f"set-point {v.name} is {value:g}, which is not on its grid; "
+                f"{' and '.join(f'{each:g}' for each in sorted(nearest))} are allowed"
+            )
 
 
 def settle_on_bounds(problem: Problem, readbacks: Mapping[str, float]) -> dict[str, float]:

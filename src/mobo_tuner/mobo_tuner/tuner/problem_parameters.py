@@ -38,10 +38,44 @@ _INVALID = "Readings that mean that nothing was measured."
 QUANTITY_PARAMETERS = tuple(
     QuantityParameter(*row)
     for row in (
-        ("variables", "min", "number, required", "Lower bound of the search.", True),
-        ("variables", "max", "number, required", "Upper bound of the search.", True),
+        (
+            "variables",
+            "min",
+            "number, required",
+            "Lower bound of the search; not required with choices or fixed.",
+            True,
+        ),
+        (
+            "variables",
+            "max",
+            "number, required",
+            "Upper bound of the search; not required with choices or fixed.",
+            True,
+        ),
+        (
+            "variables",
+            "step",
+            "number > 0, none",
+            "Step of its grid: only multiples of the step, counted from 0, are suggested.",
+        ),
+        ("variables", "choices", "list of numbers, none", "Only values that are suggested."),
+        (
+            "variables",
+            "scale",
+            "linear or log, linear",
+            "Whether differences or ratios of its values matter to the models.",
+        ),
+        ("variables", "fixed", "number, none", "Only value that is suggested.", True),
         ("variables", "cost", "number >= 0, 1.0", "Relative cost of a change of it.", True),
         ("variables", "unit", "text, empty", _UNIT),
+        (
+            "limits",
+            "VARIABLE",
+            "number, 0.0",
+            "Coefficient of a variable in the sum that is limited.",
+        ),
+        ("limits", "min", "number, none", "Least value of the sum; min, max or both.", True),
+        ("limits", "max", "number, none", "Greatest value of the sum; min, max or both.", True),
         (
             "objectives",
             "reference",
@@ -78,7 +112,7 @@ _BY_NAME = {(p.section, p.leaf): p for p in QUANTITY_PARAMETERS}
 
 
 class ProblemParameters:
-    """The parameters under `variables`, `objectives`, `constraints` and `observables` of a node.
+    """The parameters of a node under the sections of a problem.
 
     The node must declare its parameters from overrides, since only the file knows their names.
 
@@ -136,6 +170,8 @@ def _is_unset(value: Any) -> bool:
 def _descriptor(name: str) -> ParameterDescriptor:
     section, *_, leaf = name.split(".")
     known = _BY_NAME.get((section, leaf))
+    if section == "limits" and known is None:
+        known = _BY_NAME["limits", "VARIABLE"]
     return ParameterDescriptor(
         name=name,
         description=known.description if known else "",

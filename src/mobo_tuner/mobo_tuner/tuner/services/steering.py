@@ -13,7 +13,7 @@ from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.conversions import unique_values
 from mobo_tuner.runs.records import ForgetRecord, QueuedRecord
 from mobo_tuner.tuner.context import TunerContext
-from mobo_tuner.tuner.gate import Gate, Target, check_bounds
+from mobo_tuner.tuner.gate import Gate, Target, check_bounds, check_grids
 from mobo_tuner.tuner.run.run import Run
 from mobo_tuner.tuner.session import Session
 
@@ -119,9 +119,10 @@ def check_queued(run: Run, gate: Gate, setpoint: Mapping[str, float]) -> None:
     """Check a set-point that an operator wants to have evaluated.
 
     Raises:
-        UserError: If it does not name the run's variables, or is out of bounds.
+        UserError: If it does not name the run's variables, or is out of bounds or off a grid.
     """
     run.problem.normalize(setpoint)
+    check_grids(run.problem, setpoint)
     if not run.changeable:  # it stays around a point
         check_bounds(run.problem, setpoint)
     gate.check(Target(setpoint))

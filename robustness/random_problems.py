@@ -1,0 +1,161 @@
+"""Draw random problems and check that every suggestion is inside bounds, on grids and within limits.
+
+    python -m robustness.random_problems --problems 2000
+
+Variables are continuous, on a grid, from a list, logarithmic or fixed, with linear limits between them; a
+problem of few set-points must try each before it repeats one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+import hypothesis
+from hypothesis import strategies as st
+
+from mobo_tuner.core import Optimizer, Problem
+
+CHEAP = {"screened": 32, "screened_nearby": 16, "far_starts": 4, "near_starts": 4, "finished": 2}
+CHEAP |= {"steps": 3, "evaluations": 8}
+AFTER_THE_DESIGN = 3  # evaluations
+
+_numbers = st.floats(-1e3, 1e3, allow_nan=False).map(lambda value: round(value, 3))
+_widths = st.floats(1e-3, 1e3).map(lambda value: float(f"{value:.4g}"))
+
+
+@st.composite
+def variables(draw: st.DrawFn) -> dict[str, Any]:
+    """Draw the definition of a variable."""
+    kind = draw(st.sampled_from(["continuous", "step", "choices", "log", "log step", "fixed"]))
+    low, width = draw(_numbers), draw(_widths)
+    if kind.startswith("log"):
+        low = abs(low) + 0.01
+    entry: dict[str, Any] = {"min": low, "max": low + width}
+    if kind.startswith("log"):
+        entry["scale"] = "log"
+    if kind.endswith("step"):
+        # At most as wide as the range, so that there is a multiple of it in between.
+        entry["step"] = width / draw(st.sampled_from([1.0, 1.5, 2.0, 3.0, 7.7, 64.0, 1000.0]))
+    if kind == "choices":
+        return {"choices": draw(st.lists(_numbers, min_size=2, max_size=6, unique=True))}
+    if kind == "fixed":
+        return {"fixed": low} if draw(st.booleans()) else entry | {"fixed": low + width / 2}
+    return entry
+
+
+@st.composite
+def problems(draw: st.DrawFn) -> Problem:
+    """Draw a problem, whose limits leave at least one set-point."""
+    entries = {f"x{i}": draw(variables()) for i in range(draw(st.integers(1, 4)))}
+    objectives = {f"f{i}": {"reference": 3.0} for i in range(draw(st.integers(1, 2)))}
+    free = Problem.from_dict({"variables": entries, "objectives": objectives})
+    limits: dict[str, dict[str, float]] = {}
+    places = st.floats(-1.0, 1.0)
+    allowed = {v.name: v.denormalize(draw(places)) for v in free.variables}
+    linear = [v for v in free.variables if v.scale == "linear"]
+    for i in range(draw(st.integers(0, 2)) if linear else 0):
+        chosen = draw(st.lists(st.sampled_from(linear), min_size=1, max_size=3, unique=True))
+        weights = {v.name: draw(st.sampled_from([-2.0, -1.0, 0.3, 1.0])) for v in chosen}
+        value = math.fsum(weights[name] * allowed[name] for name in weights)
+        extent = math.fsum(abs(weights[v.name]) * (v.maximum - v.minimum) for v in chosen)
+        ends = {"max": value + draw(st.floats(1e-3, 0.5)) * extent}
+        if draw(st.booleans()):
+            ends["min"] = value - draw(st.floats(1e-3, 0.5)) * extent
+        limits[f"sum{i}"] = weights | ends
+    if limits:
+        return Problem.from_dict({"variables": entries, "objectives": objectives, "limits": limits})
+    return free
+
+
+def measure(problem: Problem, setpoint: Mapping[str, float]) -> dict[str, float]:
+    """Return smooth objectives of a set-point, of which one fails near a corner."""
+    x = problem.normalize(setpoint)
+    values = [float(((x - 0.3) ** 2).mean()), float(((x + 0.4) ** 2).mean())]
+    return {
+        o.name: math.nan if x.sum() > 0.9 * len(x) else value
+        for o, value in zip(problem.objectives, values, strict=False)
+    }
+
+
+def check(problem: Problem, setpoint: Mapping[str, float]) -> None:
+    """Check a set-point.
+
+    Raises:
+        AssertionError: If it is outside bounds or limits, or off a grid.
+    """
+    for variable in problem.variables:
+        value = setpoint[variable.name]
+        assert variable.minimum <= value <= variable.maximum, (variable, value)
+        assert variable.is_allowed(value), (variable, value)
+        assert variable.values is None or value in variable.values, (variable, value)
+    for limit in problem.limits:
+        assert limit.is_met(setpoint), (limit, setpoint)
+
+
+def check_problem(problem: Problem, seed: int, proximal: bool) -> None:
+    """Tune a problem for a few evaluations.
+
+    Raises:
+        AssertionError: If a suggestion is not allowed, or comes again before all were made.
+    """
+    assert Problem.from_dict(problem.to_dict()) == problem
+    optimizer = Optimizer(
+        problem,
+        seed=seed,
+        maximizer_settings=CHEAP,
+        initial_evaluations=4,
+        proximal="costs" if proximal else None,
+    )
+    distinct = len(problem.domain.points()) if problem.domain.size <= 16 else math.inf
+    asked: list[tuple[float, ...]] = []
+    for _ in range(4 + AFTER_THE_DESIGN):
+        setpoint = optimizer.ask()
+        check(problem, setpoint)
+        asked.append(tuple(setpoint.values()))
+        assert len(set(asked)) == min(len(asked), distinct), asked
+        optimizer.tell(setpoint, measure(problem, setpoint))
+    for point in optimizer.predicted_front(8):
+        check(problem, point["setpoint"])
+
+
+def search(count: int) -> None:
+    """Check random problems.
+
+    Raises:
+        AssertionError: If one is wrong; the smallest such problem is printed.
+    """
+
+    @hypothesis.settings(
+        max_examples=count,
+        deadline=None,
+        derandomize=True,
+        database=None,
+        suppress_health_check=list(hypothesis.HealthCheck),
+    )
+    @hypothesis.given(problems(), st.integers(0, 1000), st.booleans())
+    def look(problem: Problem, seed: int, proximal: bool) -> None:
+        check_problem(problem, seed, proximal)
+
+    look()
+
+
+def main() -> int:
+    """Check as many problems as the command line says; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--problems", type=int, default=2000)
+    count = parser.parse_args().problems
+    try:
+        search(count)
+    except AssertionError as error:
+        print(error, file=sys.stderr)
+        return 1
+    print(f"{count} problems: every suggestion was inside bounds, on grids and within limits")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
