@@ -6,4 +6,4 @@ from robustness.random_problems import search
 
 
 def test_no_suggestion_leaves_bounds_grids_or_limits() -> None:
-    search(25)
+    search(12)
