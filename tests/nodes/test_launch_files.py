@@ -17,7 +17,7 @@ import yaml
 
 from awa_sim_node.parameters import AWA_SIM
 from mobo_tuner.bridge.describe import MACHINE_BRIDGE
-from mobo_tuner.nodes.parameters import CONSOLE, RECORDER
+from mobo_tuner.nodes.parameters import CONSOLE, PAGE, RECORDER
 from mobo_tuner.parameter_spec import ParameterSpec
 from mobo_tuner.tuner.parameters import TUNER
 from tests.support.paths import CONFIG, ROOT
@@ -28,6 +28,7 @@ EXECUTABLES: Mapping[tuple[str, str], tuple[ParameterSpec, ...]] = {
     ("mobo_tuner", "tuner"): TUNER,
     ("mobo_tuner", "recorder"): RECORDER,
     ("mobo_tuner", "console"): CONSOLE,
+    ("mobo_tuner", "page"): PAGE,
     ("mobo_tuner", "machine_bridge"): MACHINE_BRIDGE,
     ("awa_sim_node", "awa_sim"): AWA_SIM,
 }
@@ -37,6 +38,7 @@ MODULES = {
     "tuner": "mobo_tuner.nodes.tuner",
     "recorder": "mobo_tuner.nodes.recorder",
     "console": "mobo_tuner.nodes.console",
+    "page": "mobo_tuner.nodes.page",
     "machine_bridge": "mobo_tuner.nodes.machine_bridge",
     "awa_sim": "awa_sim_node.node",
 }

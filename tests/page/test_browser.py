@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 import rclpy
+from axe_playwright_python.sync_playwright import Axe
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from playwright.sync_api import BrowserContext, Page
 from rclpy.context import Context
@@ -257,6 +258,22 @@ def test_every_view_of_the_details_is_drawn(page: Page, tab: str) -> None:
         until(page, lambda: "no constraints" in read(page, ".details"), "the sentence")
     else:
         page.wait_for_selector(".details canvas")
+
+
+def barriers(page: Page) -> list[str]:
+    """What keeps people with aids from reading or acting, as axe-core sees it."""
+    found = Axe().run(page).response["violations"]
+    grave = [v for v in found if v["impact"] in ("serious", "critical")]
+    return [f"{v['id']}: {v['nodes'][0]['html']}" for v in grave]
+
+
+def test_people_with_aids_can_read_and_act(page: Page) -> None:
+    for way in ("in the dark", "in the light"):
+        deadline = time.monotonic() + 10.0
+        while barriers(page) and time.monotonic() < deadline:
+            page.wait_for_timeout(300)  # colours change slowly
+        assert barriers(page) == [], way
+        page.get_by_role("button", name="light or dark").click()
 
 
 def test_a_run_is_stopped_only_after_a_question(page: Page) -> None:

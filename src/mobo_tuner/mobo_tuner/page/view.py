@@ -50,7 +50,7 @@ class View:
         self._title = ""
         self._dark = ui.dark_mode(value=dark)
         self._build_header()
-        with ui.element("main").classes("board"):
+        with ui.element("div").classes("board"):
             self._state = StatePanel(viewer)
             self._motion = MotionPanel(viewer)
             self._health = HealthPanel(viewer)
@@ -100,6 +100,7 @@ class View:
         }
 
         async def opened() -> None:
+            self.refresh()
             if panels.value == "history":
                 await past.read()
 
