@@ -276,6 +276,17 @@ def test_people_with_aids_can_read_and_act(page: Page) -> None:
         page.get_by_role("button", name="light or dark").click()
 
 
+def test_a_phone_shows_the_front_too(page: Page) -> None:
+    page.set_viewport_size({"width": 412, "height": 915})
+
+    def shown() -> bool:
+        box = page.locator(".front canvas").bounding_box()
+        return box is not None and min(box["width"], box["height"]) >= 300.0
+
+    until(page, shown, "the plot of the front")
+    page.set_viewport_size(CONTROL_ROOM)
+
+
 def test_a_run_is_stopped_only_after_a_question(page: Page) -> None:
     press(page, "Stop…")
     press(page, "No, go back")

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
-from scipy.stats import spearmanr
 
 from mobo_tuner.runs.recorded_run import RecordedRun
 from mobo_tuner.runs.report.figures import (
-    conflicting_pair,
     front_figure,
     hypervolume_figure,
     product_of_units,
@@ -51,18 +48,6 @@ def test_the_front_is_shown_in_the_plane_of_the_objectives_that_conflict_most(
     axes = front_figure(RecordedRun.load(folder)).axes[0]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("eps_x [mm mrad]", "dE [MeV]")
     assert "limit of dE" in axes.get_legend_handles_labels()[1]
-
-
-def test_the_pair_that_conflicts_most_against_scipy() -> None:
-    rng = np.random.default_rng(3)
-    for _ in range(20):
-        front = rng.normal(size=(30, 4)) @ rng.normal(size=(4, 5))
-        pairs = list(itertools.combinations(range(5), 2))
-        correlations = [spearmanr(front[:, i], front[:, j])[0] for i, j in pairs]
-        assert conflicting_pair(front) == pairs[int(np.argmin(correlations))]
-    front[:, 0] = np.nan
-    assert 0 not in conflicting_pair(front)
-    assert conflicting_pair(front[:2]) == (0, 1)
 
 
 def test_the_hypervolume_is_shown_with_failures_and_the_product_of_units(mixed: Path) -> None:

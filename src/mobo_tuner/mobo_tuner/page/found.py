@@ -6,9 +6,12 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from nicegui import events, ui
 
 from mobo_tuner.client import Point
+from mobo_tuner.core.pareto import conflicting_pair
+from mobo_tuner.core.problem import Problem
 from mobo_tuner.page import charts
 from mobo_tuner.page.board import RunBoard
 from mobo_tuner.page.viewer import Table, Viewer, card
@@ -18,6 +21,7 @@ CHOICE = (
     """<q-checkbox dense v-model="props.selected" :aria-label="'evaluation ' + props.row['#']" />"""
 )
 STAGNATION = 3  # evaluations without a gain that are worth a word
+TELLING = 8  # points of a front that tell which objectives conflict
 EMPTY: charts.Options = {"series": [], "animation": False}
 
 
@@ -26,14 +30,16 @@ class FrontPanel:
 
     def __init__(self, viewer: Viewer) -> None:
         self._viewer = viewer
+        self._plane = ("", "")  # objectives that are shown at first
+        self._settled = False  # whether the plane stays as it is until the viewer chooses another
         with card("front"):
             with ui.element("div").classes("card-head"):
                 ui.label("Pareto front").classes("card-title").props(
                     'role="heading" aria-level="2"'
                 )
                 self._note = ui.label().classes("quiet grow")
-                self._y = self._select("vertical axis", "y")
                 self._x = self._select("horizontal axis", "x")
+                self._y = self._select("vertical axis", "y")
             self.chart = ui.echart(dict(EMPTY), on_point_click=self._click).classes("chart tall")
             self.chart.props(
                 'role="img" aria-label="Pareto front; the table beside it has its points"'
@@ -53,13 +59,29 @@ class FrontPanel:
             return
         names = list(problem.objective_names)
         if self._x.options != names:
-            first, second = names[0], names[min(1, len(names) - 1)]
-            viewer.x, viewer.y = first, second
-            self._x.set_options(names, value=first)
-            self._y.set_options(names, value=second)
-        size = len(run.front.points) if run.front is not None else 0
+            self._plane = names[0], names[min(1, len(names) - 1)]
+            self._settled = len(names) < 3
+            self._x.set_options(names, value=self._plane[0])
+            self._y.set_options(names, value=self._plane[1])
+            viewer.x, viewer.y = self._plane
+        points = run.front.points if run.front is not None else ()
+        size = len(points)
+        if not self._settled and size >= TELLING:
+            self._settle(points, problem)
         self._note.set_text(f"{size} points" + ("" if size else ": none is feasible yet"))
         show(self.chart, charts.front(run, viewer.x, viewer.y, viewer.chosen, viewer.colours))
+
+    def _settle(self, points: Sequence[Point], problem: Problem) -> None:
+        """Show the two objectives that conflict most, once, unless the viewer chose others."""
+        self._settled = True
+        names = problem.objective_names
+        if (self._viewer.x, self._viewer.y) != self._plane:
+            return
+        signs = np.array([objective.sign for objective in problem.objectives])
+        values = [[point.objectives.get(name, math.nan) for name in names] for point in points]
+        across, up = conflicting_pair(signs * np.array(values))
+        self._x.set_value(names[across])
+        self._y.set_value(names[up])
 
     def _click(self, event: events.EChartPointClickEventArguments) -> None:
         value = event.value

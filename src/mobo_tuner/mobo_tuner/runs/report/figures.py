@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from io import BytesIO
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from mobo_tuner.core.pareto import is_nondominated
+from mobo_tuner.core.pareto import conflicting_pair, is_nondominated
 from mobo_tuner.core.problem import Array, Objective
 from mobo_tuner.files import replace_file
 from mobo_tuner.runs.recorded_run import BoolArray, RecordedRun
@@ -142,28 +141,6 @@ def staircase(points: Array, reference: Array) -> Array:
     x = np.append(points[:, 0], max(reference[0], points[-1, 0]))
     y = np.append(max(reference[1], points[0, 1]), points[:, 1])
     return np.column_stack([np.repeat(x, 2)[:-1], np.repeat(y, 2)[1:]])
-
-
-def conflicting_pair(front: Array) -> tuple[int, int]:
-    """Return the columns of the two objectives that conflict most on a front.
-
-    Args:
-        front: Minimised objectives of the front, shape ``(n, P)``, P at least 2; NaN if not measured.
-
-    Returns:
-        The pair with the lowest rank correlation (Spearman's) over the points that have both; the
-        first such pair, or ``(0, 1)`` if fewer than three points do.
-    """
-    best, lowest = (0, 1), np.inf
-    for pair in combinations(range(front.shape[1]), 2):
-        both = front[:, pair]
-        both = both[np.isfinite(both).all(axis=1)]
-        ranks = np.argsort(np.argsort(both, axis=0, kind="stable"), axis=0)
-        if len(both) >= 3:
-            correlation = np.atleast_2d(np.corrcoef(ranks.T))[0, 1]
-            if correlation < lowest - 1e-12:
-                best, lowest = pair, correlation
-    return best
 
 
 def _draw_single(axes: Axes, run: RecordedRun) -> None:
