@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import shutil
 import sys
 import tempfile
@@ -38,6 +39,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
+from launcher.ros_domain import RosDomain
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, GoToWorkingPoint, Tune
 from mobo_msgs_py.srv import Ask, ForgetEvaluation, ListWorkingPoints, QueueSetpoint, Tell
@@ -45,8 +47,9 @@ from mobo_tuner.machine.double import Answer, MachineDouble
 from mobo_tuner.nodes.tuner import Tuner
 from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.conversions import named_values, values_of
+from mobo_tuner.ros.process import STOP_TIMEOUT
 from mobo_tuner.runs.history import History
-from mobo_tuner.runs.journal import read_journal
+from mobo_tuner.runs.journal import FILE_NAME, read_journal
 from mobo_tuner.runs.replay import restore
 from robustness.offline_run import toy
 
@@ -206,6 +209,10 @@ class Shift:
     def close(self) -> None:
         """Release everything."""
         self._machine.held = False
+        stopped = self._executor.create_task(self._tuner.stop)
+        deadline = time.monotonic() + STOP_TIMEOUT
+        while not stopped.done() and time.monotonic() < deadline:
+            self._executor.spin_once(timeout_sec=0.01)
         self._tuner.close()
         self._executor.shutdown(timeout_sec=1.0)
         self._node.destroy_node()
@@ -272,9 +279,11 @@ class Shift:
         """Check everything that is known of a run that has ended."""
         self._result = self._handle = None
         self._crossing = None
-        if result.error_code == Tune.Result.INVALID_GOAL:
+        if not (self._runs_dir / result.run_id / FILE_NAME).is_file():  # it was refused
+            self._require(result.error_msg, "a refusal has no reason")
             return
         self._ended.append(result.run_id)
+        self._latest = result.run_id
         self._require(result.error_code != Tune.Result.INTERNAL, f"internal: {result.error_msg}")
         self._check_files(result.run_id, result.evaluations, result.pareto_front)
         self._spin(lambda: self._status.state == msg.TunerStatus.IDLE, "an idle tuner")
@@ -424,7 +433,13 @@ class Shift:
         finished = sent.result().get_result_async()
         if self._machine.held and not active:
             sent.result().cancel_goal_async()
-        self._spin(finished.done, "the end of a move", 60.0)
+        deadline = time.monotonic() + PATIENCE
+        while not finished.done() and time.monotonic() < deadline:
+            next_look = time.monotonic() + 0.5
+            self._spin(lambda: finished.done() or time.monotonic() > next_look, "a move")  # noqa: B023
+            if self._status.state == msg.TunerStatus.PAUSED:  # of a run that holds the point
+                self._call(Trigger, "resume")
+        self._spin(finished.done, "the end of a move")
         result = finished.result().result
         self._crossing = None
         self._require(
@@ -547,22 +562,27 @@ def main() -> int:
     parser.add_argument("--actions", type=int, default=10_000, metavar="N")
     parser.add_argument("--per-shift", type=int, default=100, metavar="N")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the first shift")
-    parser.add_argument("--domain", type=int, default=101, help="ROS domain (default: 101)")
     parser.add_argument("--minutes", type=float, default=60.0, help="time for all shifts [min]")
     options = parser.parse_args()
+    with RosDomain() as domain:
+        os.environ.update(domain.environment)
+        return _campaign(options, domain.id)
+
+
+def _campaign(options: argparse.Namespace, domain: int) -> int:
     end = time.monotonic() + 60.0 * options.minutes
     lived: Counter[str] = Counter()
     failures = 0
     seed = options.seed
     while lived.total() < options.actions and time.monotonic() < end:
         acts = draw(seed, min(options.per_shift, options.actions - lived.total()))
-        finding = live(seed, acts, options.domain)
+        finding = live(seed, acts, domain)
         lived.update(act.name for act in acts)
         if finding:
             failures += 1
 
             def fails(some: Sequence[Act], seed: int = seed) -> bool:
-                return bool(live(seed, some, options.domain))
+                return bool(live(seed, some, domain))
 
             short = shorten(acts, fails, min(end, time.monotonic() + 120.0))
             print(f"seed {seed}: {finding}\n  {len(short)} actions are enough:", flush=True)

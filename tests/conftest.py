@@ -103,7 +103,7 @@ def start_tuner(start_node: NodeStarter, tmp_path: Path) -> Callable[..., NodePr
 def start_machine(start_node: NodeStarter) -> Callable[..., NodeProcess]:
     """Start the simulated machine with parameters such as ``speed:=10.0``."""
 
-    def start(*parameters: str, config: str = "toy.yaml") -> NodeProcess:
+    def start(*parameters: str, config: str | Path = "toy.yaml") -> NodeProcess:
         options = [word for text in parameters for word in ("-p", f"awa_sim:{text}")]
         file = ["--params-file", str(CONFIG / config)]
         return start_node("-m", "awa_sim_node.node", "--ros-args", *file, *options)

@@ -11,6 +11,7 @@ from typing import Any
 from mobo_msgs_py import msg
 from mobo_tuner.core.problem import Constraint, Objective, Observable, Problem, Variable
 from mobo_tuner.errors import UserError
+from mobo_tuner.parameter_spec import NULL
 from mobo_tuner.ros.conversions import values_of
 from mobo_tuner.runs.records import EvaluationRecord, Source, from_message
 
@@ -372,14 +373,16 @@ def units_of(named: Iterable[msg.NamedValue]) -> dict[str, str]:
 
 
 def parameter_value(name: str, value: Any) -> Any:
-    """Return a value for a ROS parameter: the numbers of a list have one type.
+    """Return a value for a ROS parameter: the numbers of a list have one type, and None is "null".
 
     Raises:
         TunerError: If no ROS parameter can have it.
     """
     if hasattr(value, "tolist"):  # of numpy
         value = value.tolist()
-    if value is None or isinstance(value, bool | str | float):
+    if value is None:  # which unsets a parameter; ROS itself would delete it
+        return NULL
+    if isinstance(value, bool | str | float):
         return value
     if isinstance(value, int) and abs(value) < 2**63:
         return value

@@ -125,7 +125,7 @@ class Recording:
                 await first_of(context.node, run.interrupt, run.steering.stop, timeout=RETRY_PERIOD)
             await context.worker.submit(run.log.retry)
         if said and not run.log.trouble:
-            context.status.set(message="")
+            context.status.work(TunerStatus.SUGGESTING, "")
             context.log.info(f"run '{run.run_id}': the journal is written again")
 
     async def _await_operator(self, run: Run, reason: str) -> None:

@@ -333,7 +333,7 @@ class Attempts:
                 context.node, run.interrupt, steering.skip, steering.news, timeout=PAUSE_PERIOD
             )
         steering.take_step()
-        context.status.set(message="")
+        context.status.work(msg.TunerStatus.EVALUATING, "")
 
 
 def _stopped(run: Run) -> bool:

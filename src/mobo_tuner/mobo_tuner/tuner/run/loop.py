@@ -271,7 +271,7 @@ class RunLoop:
                 msg.TunerStatus.PAUSED, f"paused before evaluation {run.index}: {steering.reason}"
             )
             await first_of(self._context.node, run.interrupt, steering.news, timeout=PAUSE_PERIOD)
-        self._context.status.set(message="")
+        self._context.status.work(msg.TunerStatus.SUGGESTING, "")
         parameters = self._context.parameters
         if run.progress.promises_little(suggested.expected_gain, parameters) and not steering.queue:
             self._stop(run, StopReason.LITTLE_EXPECTED)

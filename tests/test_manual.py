@@ -1,0 +1,173 @@
+"""Every command of the operators' manual does what it says, over one run of permanent nodes."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import shlex
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import mobo
+from launcher.command_line import STEERING, make_parser
+from mobo_tuner.client import RunResult, TunerClient
+from mobo_tuner.nodes import steer
+from tests.support.processes import NodeProcess, wait_until
+
+MANUAL = Path(__file__).parents[1] / "docs" / "operations.md"
+ROOT = MANUAL.parents[1]
+# Points that are all good, so that there is a front at once.
+CONFIG = """
+/**:
+  ros__parameters:
+    variables:
+      K1:   {min: 400.0, max: 550.0, unit: A}
+      K2:   {min: 180.0, max: 280.0, unit: A}
+      phi1: {min: -10.0, max: 0.0, unit: deg}
+      phi2: {min: -10.0, max: 0.0, unit: deg}
+      G1:   {min: 60.0, max: 75.0, unit: MV/m}
+      G2:   {min: 15.0, max: 25.0, unit: MV/m}
+    objectives:
+      eps_x: {reference: 1.0e+6, unit: mm mrad}
+      dE:    {reference: 1.0e+3, unit: MeV}
+    constraints:
+      transmission: {min: 0.0}
+/**/awa_sim:
+  ros__parameters: {speed: 1000.0, mode: ideal}
+"""
+REST = "phi1=-5 phi2=-5 G1=70 G2=20"  # of the set-point that the manual abbreviates
+ENDING = ("stop", "cancel")  # verbs that end the run, and `watch` with it
+AFTERWARDS = ("points", "go")  # verbs for working points
+
+
+def shell_commands() -> list[tuple[list[str], str]]:
+    """The words of each command after `python3 mobo.py`, and the line that follows it in the manual."""
+    found = []
+    for block in re.findall(r"^```\n(.*?)^```", MANUAL.read_text(), re.MULTILINE | re.DOTALL):
+        for line, following in itertools.pairwise([*block.splitlines(), ""]):
+            if line.startswith("python3 mobo.py "):
+                found.append((shlex.split(line, comments=True)[2:], following))
+    return found
+
+
+def table_commands() -> list[list[str]]:
+    """The words of each verb in the table of the section about steering."""
+    section = MANUAL.read_text().partition("\n## Steer\n")[2].partition("\n## ")[0]
+    rows = [line.split(" | ") for line in section.splitlines() if line.startswith("| ")]
+    verbs = [text for row in rows for text in re.findall(r"`([^`]+)`", row[1])]
+    return [shlex.split(verb.replace("...", REST)) for verb in verbs]
+
+
+def steering_commands() -> list[list[str]]:
+    """All verbs for a running tuner, those of the table first."""
+    known = table_commands()
+    return [*known, *(words for words, _ in shell_commands() if words[0] in STEERING)]
+
+
+def test_the_manual_names_every_verb_for_a_running_tuner() -> None:
+    named = {words[0] for words in steering_commands()}
+    assert named | {"unforget"} == set(STEERING)  # that one is in the text of `forget`
+
+
+@pytest.mark.parametrize(
+    "words", [words for words, _ in shell_commands() if words[0] not in STEERING], ids=" ".join
+)
+def test_a_command_that_needs_no_tuner_is_understood(words: list[str]) -> None:
+    """They are carried out by the tests in tests/system."""
+    options = make_parser("", ROOT, mobo.VERBS).parse_args(words)
+    assert options.act is mobo.VERBS[words[0]]
+    if words[0] == "run":
+        assert (ROOT / options.config).is_file()
+
+
+class Tuning:
+    """Runs that end when a verb ends them, one after the other."""
+
+    def __init__(self) -> None:
+        self._thread: threading.Thread | None = None
+        self.evaluations = 0
+        self.results: list[RunResult] = []
+
+    def begin(self, evaluations: int) -> None:
+        """Begin a run unless one is active, and wait until it has made some evaluations."""
+        if self._thread is not None and self._thread.is_alive():
+            return
+        self.evaluations = 0
+        self._thread = threading.Thread(target=self._tune, daemon=True)
+        self._thread.start()
+        wait_until(lambda: self.evaluations >= evaluations, "evaluations", 120.0)
+
+    def end(self) -> None:
+        """Wait for the end of the run."""
+        if self._thread is not None:
+            self._thread.join(60.0)
+            assert not self._thread.is_alive()
+
+    def _tune(self) -> None:
+        with TunerClient() as client:
+            self.results.append(client.tune(evaluations=10_000, on_evaluation=self._count))
+
+    def _count(self, _: object) -> None:
+        self.evaluations += 1
+
+
+@pytest.fixture
+def tuning(
+    start_machine: Callable[..., NodeProcess],
+    start_tuner: Callable[..., NodeProcess],
+    tmp_path: Path,
+) -> Tuning:
+    config = tmp_path / "manual.yaml"
+    config.write_text(CONFIG)
+    start_machine(config=config)
+    start_tuner("initial_evaluations:=500", "proximal:=costs", config=config)
+    return Tuning()
+
+
+def test_the_verbs_of_the_manual_do_what_it_says(
+    tuning: Tuning, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def carry_out(*words: str) -> int:
+        capsys.readouterr()
+        return steer.run(words)
+
+    expected = {tuple(words): line for words, line in shell_commands()}
+    for words in steering_commands():
+        verb = words[0]
+        if verb in AFTERWARDS:
+            continue
+        tuning.begin(14)
+        assert carry_out("pause") == 0  # so that the run stays where it is
+        if verb == "watch":  # it ends with the run
+            watching = threading.Thread(target=steer.run, args=(words,), daemon=True)
+            watching.start()
+            assert carry_out("continue") == 0
+            assert carry_out("stop") == 0
+            watching.join(60.0)
+            assert not watching.is_alive()
+            tuning.end()
+        elif verb == "skip":
+            assert carry_out("continue") == 0
+            wait_until(lambda: carry_out("skip") == 0, "an evaluation in flight", 30.0, 0.0)
+        elif expected.get(tuple(words), "").startswith("refused: "):
+            assert carry_out(*words) == 1
+            assert capsys.readouterr().err.strip() == expected[tuple(words)]
+        else:
+            assert carry_out(*words) == 0, (words, capsys.readouterr().err)
+        if verb in ENDING:
+            tuning.end()
+    tuning.begin(14)
+    easy = ("objectives.dE.reference=1000", "constraints.transmission.min=0.0")
+    wide = ("variables.K1.min=400", "variables.K1.max=550")
+    assert carry_out("set", *easy, *wide) == 0, capsys.readouterr().err
+    assert carry_out("stop") == 0
+    tuning.end()
+    index = str(tuning.results[-1].front.points[0].index)
+    for words in steering_commands():
+        if words[0] in AFTERWARDS:
+            told = [index if word == "31" else "1" if word == "30" else word for word in words]
+            assert carry_out(*told) == 0, (told, capsys.readouterr().err)
+            assert "point" in capsys.readouterr().out
