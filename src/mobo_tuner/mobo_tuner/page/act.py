@@ -10,7 +10,7 @@ from typing import Any
 from nicegui import ui
 
 from mobo_tuner.client import Point
-from mobo_tuner.core.problem import Problem
+from mobo_tuner.core.problem import Problem, Variable
 from mobo_tuner.page.board import RunBoard
 from mobo_tuner.page.commands import Answer, Commands
 from mobo_tuner.page.viewer import Table, Viewer, card
@@ -173,9 +173,8 @@ class GoDialog:
         for variable in run.problem.variables:
             name, here = variable.name, board.here.get(variable.name, math.nan)
             new = point.setpoint.get(name, math.nan)
-            share = abs(new - here) / (variable.maximum - variable.minimum)
-            travel = "from an unknown place" if math.isnan(share) else f"{share:.0%} of its range"
-            rows.append((name, f"{number(here)} → {quantity(new, variable.unit)}", travel))
+            way = f"{number(here)} → {quantity(new, variable.unit)}"
+            rows.append((name, way, travel(variable, here, new)))
         self._table.show(rows)
         self._dialog.open()
 
@@ -189,6 +188,16 @@ class GoDialog:
             Answer(True, f"the machine is sent to the point of evaluation {point.index}")
         )
         self._viewer.say(await self._commands.go(point.index, self._run_id, int(hold)))
+
+
+def travel(variable: Variable, here: float, new: float) -> str:
+    """Return how far a variable goes, as a share of its range, in words."""
+    if math.isnan(here):
+        return "from an unknown place"
+    reach = variable.maximum - variable.minimum
+    if reach <= 0.0:
+        return "stays" if new == here else "it is fixed"
+    return f"{abs(new - here) / reach:.0%} of its range"
 
 
 class QueueDialog:
