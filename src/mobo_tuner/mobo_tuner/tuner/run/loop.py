@@ -323,7 +323,8 @@ class RunLoop:
         message = run.evaluation_message(record)
         self._context.topics.evaluation(message)
         publish_front_change(self._context, run)
-        self._context.status.set(publish=False, message="")
+        # A wait during the evaluation is over, even if the machine answered without feedback.
+        self._context.status.set(publish=False, state=msg.TunerStatus.SUGGESTING, message="")
         self._publish_figures(run)
         listener(record, message)
 
