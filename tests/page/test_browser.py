@@ -20,7 +20,7 @@ import pytest
 import rclpy
 from axe_playwright_python.sync_playwright import Axe
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from playwright.sync_api import BrowserContext, Page
+from playwright.sync_api import BrowserContext, Page, ViewportSize
 from rclpy.context import Context
 from rclpy.node import Node
 
@@ -34,7 +34,7 @@ from tests.support.processes import wait_until
 EVIL = "<img src=x onerror=window.hacked=1>"
 ENDLESS = 5000  # evaluations
 TOKEN = "the-token-of-a-test"
-CONTROL_ROOM = {"width": 1920, "height": 1080}
+CONTROL_ROOM: ViewportSize = {"width": 1920, "height": 1080}
 
 
 class Stage:
