@@ -141,7 +141,7 @@ def pieces(config: Path, evaluations: int, folder: Path) -> dict[str, float]:
         stopwatch.watching(
             Findings, "of", "  of that, findings: models' means, front, hypervolume"
         ),
-        stopwatch.watching(run.log, "append", "  of that, journal line"),
+        stopwatch.watching(run.log, "keep", "  of that, journal line"),
     ):
         while not run.finished:
             with stopwatch.timing("suggestion (not part of the overhead)"):
