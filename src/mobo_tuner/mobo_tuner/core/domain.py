@@ -13,8 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mobo_tuner.core.pareto import FloatArray
-
+FloatArray = NDArray[np.float64]  # that of core.pareto needs numba, which a client does without
 TOLERANCE = 1e-9
 """Largest excess of a limit, relative to the sum of its terms' magnitudes, that is rounding."""
 SMALL = 4096
