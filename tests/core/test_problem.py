@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mobo_tuner.core import Optimizer
 from mobo_tuner.core.problem import Problem, ProblemError
-from tests.core.problem_mapping import MAPPING
+from tests.core.problem_mapping import MAPPING, changed
 
 
 def test_a_problem_keeps_what_it_was_given() -> None:
@@ -80,3 +82,59 @@ def test_a_machine_that_cannot_play_the_problem_is_refused(
     problem.check_machine(LIMITS, DIAGNOSTICS, {})
     with pytest.raises(ProblemError, match=sentence):
         problem.check_machine(limits, diagnostics, units)
+
+
+def open_problem(**entry: Any) -> Problem:
+    return Problem.from_dict({**MAPPING, "variables": {**MAPPING["variables"], "K1": entry}})
+
+
+@pytest.mark.parametrize(
+    ("entry", "present", "bounds"),
+    [
+        ({"around": 20.0}, 450.0, (430.0, 470.0)),
+        ({"around": "10 %"}, 450.0, (425.0, 475.0)),  # of 350 to 600
+        ({"around": "10%", "max": 460.0}, 450.0, (425.0, 460.0)),
+        ({"around": 20.0}, 355.0, (350.0, 375.0)),  # the machine's limit is a wall
+        ({"around": 20.0}, 349.9, (350.0, 370.0)),
+        ({"around": 20.0, "min": 345.0, "step": 5.0}, 450.0, (430.0, 470.0)),
+    ],
+)
+def test_bounds_around_where_the_machine_is(
+    entry: dict[str, Any], present: float, bounds: tuple[float, float]
+) -> None:
+    problem = open_problem(**entry)
+    assert problem.open_variables == ("K1",)
+    assert Problem.from_dict(problem.to_dict()) == problem
+    problem.check_machine(LIMITS, DIAGNOSTICS, {})
+    resolved = problem.resolved({"K1": present, "phi": 1.0}, LIMITS)
+    k1, phi = resolved.variables
+    assert (k1.minimum, k1.maximum) == pytest.approx(bounds)
+    assert phi == problem.variables[1]
+    assert resolved.open_variables == ()
+    assert problem.resolved_as(resolved) == resolved == Problem.from_dict(resolved.to_dict())
+
+
+def test_a_share_of_the_range_works_where_the_machine_is_at_zero() -> None:
+    problem = Problem.from_dict(changed("variables.phi", {"around": "25 %"}))
+    phi = problem.resolved({"phi": 0.0}, {"phi": (-20.0, 20.0)}).variables[1]
+    assert (phi.minimum, phi.maximum) == (-10.0, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("entry", "fixed"), [({}, 452.3), ({"step": 0.5}, 452.5), ({"choices": [400.0, 450.0]}, 450.0)]
+)
+def test_a_variable_is_fixed_where_the_machine_is(entry: dict[str, Any], fixed: float) -> None:
+    problem = open_problem(fixed="present", **entry)
+    k1 = problem.resolved({"K1": 452.3}, LIMITS).variables[0]
+    assert (k1.fixed, k1.at_present) == (fixed, False)
+
+
+def test_an_open_problem_needs_to_know_where_the_machine_is() -> None:
+    problem = open_problem(around=20.0)
+    with pytest.raises(ProblemError, match="bounds of K1 depend on where the machine is"):
+        Optimizer(problem)
+    for present, limits in (({}, LIMITS), ({"K1": math.nan}, LIMITS), ({"K1": 450.0}, {})):
+        with pytest.raises(ProblemError, match="'K1'"):
+            problem.resolved(present, limits)
+    with pytest.raises(ProblemError, match=r"variables\.K1\.min"):  # nothing is left
+        open_problem(around=20.0, min=500.0).resolved({"K1": 400.0}, LIMITS)

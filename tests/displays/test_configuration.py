@@ -102,6 +102,9 @@ def test_grids_choices_and_limits_are_explained() -> None:
         "filter": {"choices": [1.0, 2.0, 5.0]},
         "K2": {"fixed": 20.0, "unit": "A"},
         "gain": {"min": 0.1, "max": 10.0, "scale": "log"},
+        "phase": {"around": "10 %"},
+        "field": {"around": 2.5, "unit": "T"},
+        "angle": {"fixed": "present"},
     }
     limits = {"total": {"K1": 1.0, "K2": -2.0, "max": 500.0}}
     text = explained({**PROBLEM, "variables": variables, "limits": limits})
@@ -110,6 +113,9 @@ def test_grids_choices_and_limits_are_explained() -> None:
         "one of 1, 2, 5",
         "fixed at 20 A",
         "0.1 to 10, logarithmic",
+        "10 % of its range around where the machine is",
+        "2.5 T around where the machine is",
+        "fixed where the machine is",
         "1 K1 + -2 K2 at most 500",
     ):
         assert words in text

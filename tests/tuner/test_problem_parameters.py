@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Any
 
 import pytest
@@ -23,6 +24,7 @@ GIVEN: dict[str, Any] = {
 }
 
 
+OBJECTIVE = {"objectives.f.reference": 2.0}
 Start = Callable[[dict[str, Any]], Node]
 
 
@@ -88,3 +90,18 @@ def test_the_table_of_parameters_is_what_a_problem_accepts(section: str) -> None
     accepted = str(error.value).split("allowed are ")[1].split(", ")
     documented = [p.leaf for p in QUANTITY_PARAMETERS if p.section == section]
     assert sorted(documented) == sorted(accepted)
+
+
+def test_what_was_resolved_holds_after_changes(start: Start) -> None:
+    parameters = ProblemParameters(start({"variables.x.around": "10 %", **OBJECTIVE}))
+    assert parameters.open_variables == ("x",)
+    for present, bounds in ((0.5, (0.4, 0.6)), (0.95, (0.85, 1.0))):
+        parameters.resolve(
+            partial(Problem.resolved, present={"x": present}, limits={"x": (0.0, 1.0)})
+        )
+        [x] = parameters.problem.variables
+        assert (x.minimum, x.maximum) == pytest.approx(bounds)
+    parameters.accept({"variables.x.min": 0.9})
+    [x] = parameters.problem.variables
+    assert (x.minimum, x.maximum) == pytest.approx((0.9, 1.0))
+    assert parameters.open_variables == ("x",)  # for the next run

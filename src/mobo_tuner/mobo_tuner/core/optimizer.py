@@ -75,6 +75,11 @@ class Optimizer:
             raise ProblemError(f"problem must be a Problem, not {problem!r:.60}")
         if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
             raise ProblemError(f"seed is {seed!r}; an integer of at least 0 is allowed")
+        if problem.open_variables:
+            raise ProblemError(
+                f"the bounds of {', '.join(problem.open_variables)} depend on where the machine is; "
+                "Problem.resolved gives them, and the action 'tune' asks the machine"
+            )
         self._given = problem
         self.seed = seed
         self.settings = make_settings(preset, overrides)

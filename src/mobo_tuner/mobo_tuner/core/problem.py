@@ -25,6 +25,7 @@ from mobo_tuner.core.problem_definition import (
     Quantities,
     definition_of,
     read_definition,
+    share_of,
 )
 from mobo_tuner.core.quantities import Constraint, Limit, Objective, Observable, Variable
 from mobo_tuner.core.values import (
@@ -131,6 +132,8 @@ class Problem:
                     f"{len(problem.objectives)} objectives at most {problem.largest_reading:g} in "
                     "magnitude is allowed, so that the hypervolume is a finite number"
                 )
+        if problem.open_variables:
+            return problem
         try:
             _ = problem.domain
         except EmptyDomainError:
@@ -281,6 +284,55 @@ class Problem:
         """Return the set-point inside the bounds, in physical units, for ``x`` ``(d,)`` in ``[-1, 1]``."""
         return {v.name: v.denormalize(float(xi)) for v, xi in zip(self.variables, x, strict=True)}
 
+    @property
+    def open_variables(self) -> tuple[str, ...]:
+        """Names of the variables whose bounds or value depend on where the machine is."""
+        return tuple(v.name for v in self.variables if v.is_open)
+
+    def resolved(
+        self, present: Mapping[str, float], limits: Mapping[str, tuple[float, float]]
+    ) -> Problem:
+        """Return the problem with the bounds and values of its open variables.
+
+        Args:
+            present: Where the machine is, in physical units.
+            limits: Limits of the machine's variables; no bound is beyond them.
+
+        Raises:
+            ProblemError: If an open variable is unknown there, or nothing is left of its range.
+        """
+        resolved = []
+        for v in self.variables:
+            if v.is_open:
+                if v.name not in limits or not math.isfinite(present.get(v.name, math.nan)):
+                    raise ProblemError(f"the machine does not say where its '{v.name}' is")
+                v = _resolved(v, present[v.name], *limits[v.name])
+            resolved.append(v)
+        return Problem.from_dict(replace(self, variables=tuple(resolved)).to_dict())
+
+    def resolved_as(self, other: Problem) -> Problem:
+        """Return the problem with the bounds and values that its open variables have in another one.
+
+        Raises:
+            ProblemError: If the other one lacks such a variable.
+        """
+        known = {v.name: v for v in other.variables}
+        resolved = []
+        for v in self.variables:
+            if v.is_open:
+                if v.name not in known:
+                    raise ProblemError(f"the variable '{v.name}' is new; its bounds are needed")
+                v = replace(
+                    v,
+                    minimum=known[v.name].minimum,
+                    maximum=known[v.name].maximum,
+                    fixed=known[v.name].fixed,
+                    around=None,
+                    at_present=False,
+                )
+            resolved.append(v)
+        return Problem.from_dict(replace(self, variables=tuple(resolved)).to_dict())
+
     @cached_property
     def domain(self) -> Domain:
         """Normalised set-points that may be suggested.
@@ -336,6 +388,8 @@ class Problem:
                     f"variable '{variable.name}' is not one of the machine's: {listed(limits)}"
                 )
             low, high = limits[variable.name]
+            if variable.is_open:
+                continue
             ends = [("min", variable.minimum), ("max", variable.maximum)]
             for key, value in ends if variable.fixed is None else [("fixed", variable.fixed)]:
                 if not low <= value <= high:
@@ -363,6 +417,27 @@ class Problem:
                         f"which measures {listed(diagnostics)}"
                     )
                 _check_unit(kind, quantity, diagnostics)
+
+
+def _resolved(variable: Variable, present: float, low: float, high: float) -> Variable:
+    """Return an open variable with its bounds or value, inside the machine's limits."""
+    present = min(max(present, low), high)
+    if variable.at_present:
+        if variable.choices:
+            present = min(variable.choices, key=lambda choice: abs(choice - present))
+        elif variable.step:
+            present = float(f"{round(present / variable.step) * variable.step:.15g}")
+        return replace(variable, fixed=present, at_present=False)
+    around = variable.around
+    if isinstance(around, str):
+        around = share_of(around) * (high - low)
+    assert around is not None
+    return replace(
+        variable,
+        minimum=max(variable.minimum, low, present - around),
+        maximum=min(variable.maximum, high, present + around),
+        around=None,
+    )
 
 
 def _check_unit(

@@ -27,6 +27,9 @@ from mobo_tuner.core.values import (
 SECTIONS = ("variables", "limits", "objectives", "constraints", "observables")
 MOST_VALUES = 2_000_000
 """Largest number of values on the grid of a variable."""
+PRESENT = "present"
+"""Value of `fixed` for a variable that stays where the machine is at the start of a run."""
+PERCENT = re.compile(r"\s*\d+(\.\d*)?\s*%\s*")
 _FINEST = 1e-12  # least range of a variable, relative to its bounds
 _NAME = re.compile(r"(?!.*__)[A-Za-z][A-Za-z0-9_]*")
 
@@ -71,11 +74,18 @@ def definition_of(quantities: Quantities) -> dict[str, dict[str, dict[str, Any]]
     limits = {limit.name: _limit_entry(limit) for limit in quantities.limits}
     return {
         "variables": {
-            v.name: {"min": v.minimum, "max": v.maximum, "unit": v.unit, "cost": v.cost}
+            v.name: {
+                key: bound
+                for key, bound in (("min", v.minimum), ("max", v.maximum))
+                if math.isfinite(bound)
+            }
+            | {"unit": v.unit, "cost": v.cost}
             | ({"step": v.step} if v.step else {})
             | ({"choices": list(v.choices)} if v.choices else {})
             | ({"scale": v.scale} if v.scale != "linear" else {})
             | ({"fixed": v.fixed} if v.fixed is not None else {})
+            | ({"fixed": PRESENT} if v.at_present else {})
+            | ({"around": v.around} if v.around is not None else {})
             for v in quantities.variables
         },
         "objectives": {
@@ -138,25 +148,74 @@ def _section(parameters: Mapping[str, Any], name: str) -> Mapping[str, Mapping[s
 
 def _variable(name: str, entry: Mapping[str, Any]) -> Variable:
     where = f"variables.{name}"
-    check_names(where, entry, ("min", "max", "unit", "cost", "step", "choices", "scale", "fixed"))
+    check_names(
+        where, entry, ("min", "max", "unit", "cost", "step", "choices", "scale", "fixed", "around")
+    )
     scale = _scale(where, entry)
-    fixed = None if entry.get("fixed") is None else as_number(f"{where}.fixed", entry["fixed"])
+    at_present = entry.get("fixed") == PRESENT
+    fixed = None
+    if entry.get("fixed") is not None and not at_present:
+        fixed = as_number(f"{where}.fixed", entry["fixed"])
+    around = _around(where, entry)
+    if around is not None and entry.get("fixed") is not None:
+        raise ProblemError(f"{where} has around and fixed; one of the two is allowed")
     choices = _choices(where, entry)
-    low, high = _bounds(where, entry, choices, fixed, scale)
+    if at_present or around is not None:
+        low, high = _walls(where, entry)
+    else:
+        low, high = _bounds(where, entry, choices, fixed, scale)
     cost = as_number(f"{where}.cost", entry.get("cost", 1.0))
     if cost < 0.0:
         raise ProblemError(f"{where}.cost is {cost:g}, which must not be negative")
     if fixed is not None and not low <= fixed <= high:
         raise ProblemError(f"{where}.fixed is {fixed:g}; {low:g} to {high:g} is allowed")
-    step = _step(where, entry, low, high)
+    step = _step(
+        where, entry, low, high
+    )  # of an open variable, it is checked once that is resolved
     if step and choices:
         raise ProblemError(f"{where} has a step and choices; one of the two is allowed")
     unit = as_string(f"{where}.unit", entry.get("unit", ""))
-    variable = Variable(name, low, high, unit, cost, step, choices, scale, fixed)
-    if variable.values is not None and not len(variable.values):
+    variable = Variable(
+        name, low, high, unit, cost, step, choices, scale, fixed, around, at_present
+    )
+    if not variable.is_open and variable.values is not None and not len(variable.values):
         kind = f"multiple of the step {step:g}" if step else "of its choices"
         raise ProblemError(f"{where}.min to max is {low:g} to {high:g}, with no {kind} in between")
     return variable
+
+
+def _around(where: str, entry: Mapping[str, Any]) -> float | str | None:
+    """Return half the width of the bounds: a number, or a text such as "10 %"."""
+    value = entry.get("around")
+    if value is None:
+        return None
+    if isinstance(value, str):
+        if not PERCENT.fullmatch(value) or not 0.0 < share_of(value) <= 1.0:
+            raise ProblemError(
+                f"{where}.around is {value!r:.40}; a number, or a share of the machine's range such as "
+                "'10 %' is allowed"
+            )
+        return value
+    around = as_number(f"{where}.around", value)
+    if not around > 0.0:
+        raise ProblemError(f"{where}.around is {around:g}, which must be greater than 0")
+    return around
+
+
+def share_of(percent: str) -> float:
+    """Return the share that a text such as "10 %" names."""
+    return float(percent.replace("%", "")) / 100.0
+
+
+def _walls(where: str, entry: Mapping[str, Any]) -> tuple[float, float]:
+    """Return the bounds of an open variable as far as they are given, infinite where not."""
+    low, high = (
+        infinite if entry.get(key) is None else as_number(f"{where}.{key}", entry[key])
+        for key, infinite in (("min", -math.inf), ("max", math.inf))
+    )
+    if not low < high:
+        raise ProblemError(f"{where}.min is {low:g}, which must be less than its max of {high:g}")
+    return low, high
 
 
 def _scale(where: str, entry: Mapping[str, Any]) -> Scale:
@@ -185,6 +244,8 @@ def _step(where: str, entry: Mapping[str, Any], low: float, high: float) -> floa
     step = as_number(f"{where}.step", entry["step"])
     if not step > 0.0:
         raise ProblemError(f"{where}.step is {step:g}, which must be greater than 0")
+    if math.isinf(high - low):
+        return step
     if (high - low) / step > MOST_VALUES or max(abs(low), abs(high)) / step > 1e15:
         raise ProblemError(
             f"{where}.step is {step:g}, too fine for {low:g} to {high:g}: at most {MOST_VALUES} values "

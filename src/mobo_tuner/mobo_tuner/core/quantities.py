@@ -33,6 +33,9 @@ class Variable:
         choices: Values that it may have, in ascending order [`unit`]; empty = any.
         scale: "log" if its ratios matter and not its differences.
         fixed: Only value that is suggested [`unit`]; None = it is not fixed.
+        around: Distance of the bounds from where the machine is at the start of a run [`unit`], or a
+            share of the machine's range, such as "10 %"; None = the bounds are known.
+        at_present: Whether it is fixed where the machine is at the start of a run.
     """
 
     name: str
@@ -44,6 +47,13 @@ class Variable:
     choices: tuple[float, ...] = ()
     scale: Scale = "linear"
     fixed: float | None = None
+    around: float | str | None = None
+    at_present: bool = False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether its bounds or its value depend on where the machine is."""
+        return self.around is not None or self.at_present
 
     @cached_property
     def values(self) -> NDArray[np.float64] | None:

@@ -81,6 +81,8 @@ def _machine(configuration: Configuration) -> list[str]:
 
 
 def _variable(variable: Variable) -> tuple[str, str]:
+    if variable.is_open:
+        return variable.name, _open(variable)
     values = variable.values
     if values is None:
         bounds = f"{variable.minimum:g} to {variable.maximum:g}"
@@ -94,6 +96,14 @@ def _variable(variable: Variable) -> tuple[str, str]:
     if variable.step and variable.fixed is None:
         text += f", in steps of {variable.step:g}"
     return variable.name, text + (", logarithmic" if variable.scale == "log" else "")
+
+
+def _open(variable: Variable) -> str:
+    if variable.at_present:
+        return "fixed where the machine is at the start of a run"
+    around = variable.around
+    width = f"{around} of its range" if isinstance(around, str) else f"{around:g} {variable.unit}"
+    return f"{width.rstrip()} around where the machine is at the start of a run, within its limits"
 
 
 def _limit(limit: Limit) -> tuple[str, str]:

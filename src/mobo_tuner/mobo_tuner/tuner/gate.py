@@ -272,6 +272,8 @@ def check_bounds(problem: Problem, setpoint: Mapping[str, float]) -> None:
         BoundsError: If it is outside.
     """
     for v in problem.variables:
+        if v.is_open:
+            raise BoundsError(f"the bounds of {v.name} are known only once a run has begun")
         _check_range(v.name, setpoint, v.minimum, v.maximum, v.unit)
     for limit in problem.limits:
         if all(name in setpoint for name, _ in limit.coefficients) and not limit.is_met(setpoint):

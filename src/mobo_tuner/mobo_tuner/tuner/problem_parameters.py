@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -65,7 +65,20 @@ QUANTITY_PARAMETERS = tuple(
             "linear or log, linear",
             "Whether differences or ratios of its values matter to the models.",
         ),
-        ("variables", "fixed", "number, none", "Only value that is suggested.", True),
+        (
+            "variables",
+            "fixed",
+            "number or present, none",
+            "Only value that is suggested; present = where the machine is at the start of a run.",
+            True,
+        ),
+        (
+            "variables",
+            "around",
+            "number or text such as 10 %, none",
+            "Distance of the bounds from where the machine is at the start of a run, or as a share of "
+            "the machine's range; the machine's limits, min and max are walls.",
+        ),
         ("variables", "cost", "number >= 0, 1.0", "Relative cost of a change of it.", True),
         ("variables", "unit", "text, empty", _UNIT),
         (
@@ -129,7 +142,8 @@ class ProblemParameters:
                 if not _is_unset(given_parameter.value):
                     self._values[name] = _plain(given_parameter.value)
                 node.set_descriptor(name, _descriptor(name))
-        self.problem = Problem.from_dict(_nested(self._values))
+        self._given = self.problem = Problem.from_dict(_nested(self._values))
+        self._resolve: Callable[[Problem], Problem] = lambda problem: problem
         for parameter in QUANTITY_PARAMETERS:
             for quantity in getattr(self.problem, parameter.section):
                 name = f"{parameter.section}.{quantity.name}.{parameter.leaf}"
@@ -140,18 +154,37 @@ class ProblemParameters:
         """Return whether a parameter of this name is part of the problem."""
         return name.split(".")[0] in SECTIONS
 
+    @property
+    def open_variables(self) -> tuple[str, ...]:
+        """Names of the variables whose bounds or value depend on where the machine is."""
+        return self._given.open_variables
+
+    def resolve(self, by: Callable[[Problem], Problem]) -> None:
+        """Resolve the open variables; it holds until the next time, also after changes.
+
+        Args:
+            by: Function that returns a problem with its open variables resolved.
+
+        Raises:
+            ProblemError: If it cannot; nothing is changed.
+        """
+        self.problem = by(self._given)
+        self._resolve = by
+
     def with_changes(self, changes: Mapping[str, Any]) -> Problem:
         """Return the problem with some parameters set.
 
         Raises:
             ProblemError: If they do not form a valid problem.
         """
-        return Problem.from_dict(_nested(self._with(changes)))
+        problem = Problem.from_dict(_nested(self._with(changes)))
+        return self._resolve(problem) if problem.open_variables else problem
 
     def accept(self, changes: Mapping[str, Any]) -> None:
         """Take over parameters that were set."""
         self.problem = self.with_changes(changes)
         self._values = self._with(changes)
+        self._given = Problem.from_dict(_nested(self._values))
 
     def _with(self, changes: Mapping[str, Any]) -> dict[str, Any]:
         """Return the values with some set, or unset by null."""

@@ -70,6 +70,12 @@ class Session:
             yield
 
     @contextmanager
+    def locating(self) -> Iterator[None]:
+        """Let the machine be asked where it is."""
+        with self._busy("the machine is asked where it is; one thing at a time is allowed"):
+            yield
+
+    @contextmanager
     def _busy(self, reason: str) -> Iterator[None]:
         before, self._reason = self._reason, reason
         try:
