@@ -15,10 +15,15 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]  # that of core.pareto needs numba, which a client does without
 TOLERANCE = 1e-9
-"""Largest excess of a limit, relative to the sum of its terms' magnitudes, that is rounding."""
+"""Largest distance from a bound or a grid that is rounding, where a variable spans 2."""
+_ROUNDING = 1e-12  # excess of a limit, relative to the range of its sum, that is rounding
+_INSET = (
+    1e-9  # distance from a limit, likewise, at which a projection ends: no rounding leads across it
+)
 SMALL = 4096
 """Number of points up to which a domain is searched point by point."""
 _PROJECTIONS = 40
+_NODES = 100_000  # of the search for a point within the limits
 _PULLS = (
     24  # steps towards the centre of what a projection leaves outside, the last onto the centre
 )
@@ -54,7 +59,7 @@ class Domain:
         self._a = np.empty((0, d)) if coefficients is None else coefficients
         self._lower = np.empty(0) if lower is None else lower
         self._upper = np.empty(0) if upper is None else upper
-        self._slack = TOLERANCE * (np.abs(self._a).sum(axis=1) + 1e-30)
+        self._range = np.abs(self._a).sum(axis=1)
         self._center = self._find_center() if len(self._a) else None
 
     @property
@@ -173,20 +178,22 @@ class Domain:
 
     def _within_limits(self, x: FloatArray) -> NDArray[np.bool_]:
         value = x @ self._a.T
-        low, high = self._lower - self._slack, self._upper + self._slack
+        slack = _ROUNDING * self._range
+        low, high = self._lower - slack, self._upper + slack
         return np.asarray(((low <= value) & (value <= high)).all(axis=1))
 
     def _retract(self, x: FloatArray) -> FloatArray:
         """Move rows of x ``(m, d)`` straight towards the centre until they are within the limits."""
         assert self._center is not None
         inner, outer = self._a @ self._center, x @ self._a.T
+        low, high = self._lower + _INSET * self._range, self._upper - _INSET * self._range
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.where(
-                outer > self._upper,
-                (self._upper - inner) / (outer - inner),
-                np.where(outer < self._lower, (self._lower - inner) / (outer - inner), 1.0),
+                outer > high,
+                (high - inner) / (outer - inner),
+                np.where(outer < low, (low - inner) / (outer - inner), 1.0),
             )
-        share = np.clip(share, 0.0, 1.0).min(axis=1)[:, None]
+        share = np.clip(np.nan_to_num(share), 0.0, 1.0).min(axis=1)[:, None]
         return np.asarray(self._center + share * (x - self._center))
 
     def _pull(self, x: FloatArray) -> FloatArray:
