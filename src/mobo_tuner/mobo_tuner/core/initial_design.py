@@ -45,12 +45,12 @@ def _fitted(points: Array, domain: Domain, rng: np.random.Generator) -> Array:
     kept = np.zeros(len(points), dtype=np.bool_)
     for i in np.flatnonzero(domain.contains(snapped)):
         kept[i] = not (np.abs(snapped[kept] - snapped[i]) <= TOLERANCE).all(axis=1).any()
+    to_kept = cdist(pool, snapped[kept])
+    distances, times = to_kept.min(axis=1, initial=np.inf), (to_kept <= TOLERANCE).sum(axis=1)
     for i in np.flatnonzero(~kept):
-        others = snapped[kept]
-        distances = cdist(pool, others).min(axis=1) if len(others) else np.ones(len(pool))
         # Once all are used, each comes again as often as any other.
-        times = (cdist(pool, others) <= TOLERANCE).sum(axis=1) if len(others) else distances
         fewest = np.flatnonzero(times == times.min())
         snapped[i] = pool[fewest[distances[fewest].argmax()]]
-        kept[i] = True
+        to_new = cdist(pool, snapped[i : i + 1])[:, 0]
+        distances, times = np.minimum(distances, to_new), times + (to_new <= TOLERANCE)
     return snapped
