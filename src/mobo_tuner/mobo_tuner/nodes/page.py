@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mobo_tuner.page.server import PageServer
 
 TOKEN_VARIABLE = "MOBO_PAGE_TOKEN"
-NICENESS = 5  # the run goes first
+NICENESS = 15  # the run goes first
 EXIT_ERROR = 1
 PROGRAM = Program("page", "Shows a tuner in a browser, and lets operators steer it.", PAGE)
 
