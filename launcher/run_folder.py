@@ -283,7 +283,8 @@ class RunFolder:
             path = self.path / JOURNAL_FILE
             raise RunFolderError(f"'{path}' cannot be read: {error.strerror}") from None
         except (KeyError, OverflowError, TypeError, ValueError):
-            raise RunFolderError(f"'{self.path / JOURNAL_FILE}' is broken") from None
+            path = self.path / JOURNAL_FILE
+            raise RunFolderError(f"'{path}' does not begin with a start record") from None
         end = next((r for r in self._last_records() if r.get("type") == "end"), None)
         if end is not None:
             stop_reason = str(end.get("stop_reason"))

@@ -126,10 +126,11 @@ def test_two_tuners_tell_of_each_other(
     )
     start_node("-m", "awa_sim_node.node", *TOY)
     spin_until(
-        lambda: DiagnosticStatus.WARN in levels("awa_sim: machine"), "the warning of the machine"
+        lambda: "3 tuners send /heartbeat; a machine serves one at a time"
+        in [s.message for m in health.messages for s in m.status if s.name == "awa_sim: machine"],
+        "the warning of the machine",
     )
-    told = [s.message for m in health.messages for s in m.status if s.name == "awa_sim: machine"]
-    assert "3 tuners send /heartbeat; a machine serves one at a time" in told
+    assert DiagnosticStatus.WARN in levels("awa_sim: machine")
     for tuner in (second, third):
         tuner.kill()
     spin_until(lambda: statuses.messages[-1].message == "", "the end of the warning", 40.0)

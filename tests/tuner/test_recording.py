@@ -114,9 +114,9 @@ def test_a_lost_recorder_is_said_at_once_and_the_run_does_what_its_policy_says(
         watched.wait_for(lambda s: s.evaluations > made, "the next evaluation")
     watched.record()
     watched.wait_for(lambda s: "lost" not in s.recorder and not s.hints, "the recorder's return")
-    assert services.set(evaluations=watched.status.evaluations + 3).successful
+    assert services.trigger("stop_after_this").success
     assert client.wait(60.0).error_code == 0
-    assert journal(tmp_path, "run")[-1]["stop_reason"] == "budget"
+    assert journal(tmp_path, "run")[-1]["stop_reason"] == "stopped"
 
 
 @pytest.mark.parametrize("policy", ["continue", "pause"])
@@ -146,7 +146,7 @@ def test_a_full_disk_loses_no_evaluation(
         assert services.trigger("resume").success
     made = status.evaluations
     watched.wait_for(lambda s: s.evaluations > made, "the run to go on")
-    assert services.set(evaluations=watched.status.evaluations + 3).successful
+    assert services.trigger("stop_after_this").success
     result = client.wait(60.0)
     assert result.error_code == 0
     records = [r for r in journal(tmp_path, "run") if r["type"] == "evaluation"]
