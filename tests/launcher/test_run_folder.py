@@ -135,5 +135,5 @@ def test_runs_of_nodes_that_stay_are_listed_with_the_others(tmp_path: Path) -> N
 def test_a_journal_that_does_not_begin_well_is_told(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "journal.jsonl").write_text("[]\n")
-    with pytest.raises(RunFolderError, match="broken"):
+    with pytest.raises(RunFolderError, match="start record"):
         RunFolder(tmp_path / "a").row()

@@ -126,8 +126,12 @@ def test_two_tuners_tell_of_each_other(
     )
     start_node("-m", "awa_sim_node.node", *TOY)
     spin_until(
-        lambda: "3 tuners send /heartbeat; a machine serves one at a time"
-        in [s.message for m in health.messages for s in m.status if s.name == "awa_sim: machine"],
+        lambda: (
+            "3 tuners send /heartbeat; a machine serves one at a time"
+            in [
+                s.message for m in health.messages for s in m.status if s.name == "awa_sim: machine"
+            ]
+        ),
         "the warning of the machine",
     )
     assert DiagnosticStatus.WARN in levels("awa_sim: machine")
