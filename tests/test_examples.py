@@ -20,10 +20,10 @@ from tests.support.tuner import journal
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def test_a_machine_and_a_client_of_ones_own_tune(start_node: NodeStarter) -> None:
+def test_a_machine_and_a_client_of_ones_own_tune(start_node: NodeStarter, tmp_path: Path) -> None:
     machine = start_node(str(ROOT / "examples" / "my_machine.py"))
-    config = str(ROOT / "config" / "toy.yaml")
-    start_node("-m", "mobo_tuner.nodes.tuner", "--ros-args", "--params-file", config)
+    config = ("--ros-args", "--params-file", str(ROOT / "config" / "toy.yaml"))
+    start_node("-m", "mobo_tuner.nodes.tuner", *config, "-p", f"runs_dir:={tmp_path}")
     client = start_node("-u", str(ROOT / "examples" / "tune_client.py"), "9")
     assert client.wait(60.0) == 0, client.stderr
     lines = client.stdout.splitlines()
@@ -56,7 +56,7 @@ def test_the_run_that_the_readme_shows(start_node: NodeStarter, tmp_path: Path) 
     (tmp_path / "shown.py").write_text(lines)
     config = ("--ros-args", "--params-file", str(ROOT / "config" / "awa.yaml"))
     start_node("-m", "awa_sim_node.node", *config, "-p", "awa_sim:speed:=1000.0")
-    start_node("-m", "mobo_tuner.nodes.tuner", *config)
+    start_node("-m", "mobo_tuner.nodes.tuner", *config, "-p", f"runs_dir:={tmp_path}")
     client = start_node("-u", str(tmp_path / "shown.py"))
     assert client.wait(90.0) == 0, client.stderr
     printed = client.stdout.splitlines()
@@ -66,9 +66,9 @@ def test_the_run_that_the_readme_shows(start_node: NodeStarter, tmp_path: Path) 
     assert printed[-1] == "idle budget"
 
 
-def test_a_loop_of_ones_own_asks_and_tells(start_node: NodeStarter) -> None:
-    config = str(ROOT / "config" / "toy.yaml")
-    start_node("-m", "mobo_tuner.nodes.tuner", "--ros-args", "--params-file", config)
+def test_a_loop_of_ones_own_asks_and_tells(start_node: NodeStarter, tmp_path: Path) -> None:
+    config = ("--ros-args", "--params-file", str(ROOT / "config" / "toy.yaml"))
+    start_node("-m", "mobo_tuner.nodes.tuner", *config, "-p", f"runs_dir:={tmp_path}")
     client = start_node("-u", str(ROOT / "examples" / "ask_tell_client.py"), "9")
     assert client.wait(60.0) == 0, client.stderr
     lines = client.stdout.splitlines()

@@ -328,11 +328,15 @@ def test_the_bridge_serves_what_every_machine_serves(
 
 
 def test_the_tuner_tunes_a_machine_that_knows_none_of_its_types(
-    start: Callable[..., Bridged], start_node: NodeStarter, node: Node, spin_until: Spin
+    start: Callable[..., Bridged],
+    start_node: NodeStarter,
+    node: Node,
+    spin_until: Spin,
+    tmp_path: Path,
 ) -> None:
     start()
-    config = str(CONFIG / "toy.yaml")
-    start_node("-m", "mobo_tuner.nodes.tuner", "--ros-args", "--params-file", config)
+    config = ("--ros-args", "--params-file", str(CONFIG / "toy.yaml"))
+    start_node("-m", "mobo_tuner.nodes.tuner", *config, "-p", f"runs_dir:={tmp_path}")
     client = tune_client(node, spin_until)
     client.send(Tune.Goal(evaluations=6))
     result = client.wait(60.0)
