@@ -17,16 +17,14 @@ FloatArray = NDArray[np.float64]  # that of core.pareto needs numba, which a cli
 TOLERANCE = 1e-9
 """Largest distance from a bound or a grid that is rounding, where a variable spans 2."""
 _ROUNDING = 1e-12  # excess of a limit, relative to the range of its sum, that is rounding
-_INSET = (
-    1e-9  # distance from a limit, likewise, at which a projection ends: no rounding leads across it
-)
+# Distance from a limit, likewise, at which a projection ends: no rounding leads across it.
+_INSET = 1e-9
 SMALL = 4096
 """Number of points up to which a domain is searched point by point."""
 _PROJECTIONS = 40
 _NODES = 100_000  # of the search for a point within the limits
-_PULLS = (
-    24  # steps towards the centre of what a projection leaves outside, the last onto the centre
-)
+# Steps towards the centre of what a projection leaves outside, the last onto the centre.
+_PULLS = 24
 
 
 class EmptyDomainError(ValueError):

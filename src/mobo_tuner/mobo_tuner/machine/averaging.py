@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-MAD_TO_SIGMA = (
-    1.4826  # standard deviation of a normal distribution over its median absolute deviation
-)
+# Standard deviation of a normal distribution over its median absolute deviation.
+MAD_TO_SIGMA = 1.4826
 MAX_SHOTS = 10_000  # largest number of shots of a measurement
 FEWEST_SHOTS = 3  # among fewer shots, no outlier can be identified
 

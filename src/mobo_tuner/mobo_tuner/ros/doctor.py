@@ -21,9 +21,8 @@ from mobo_msgs_py import msg, srv
 
 CATEGORY = "mobo_tuner"
 DISCOVERY_TIME = 2.0  # [s] to find what is there
-_QUIET_TIME = (
-    0.5  # [s] without a change after which everything counts as found, once there is a tuner
-)
+# Without a change after which everything counts as found, once there is a tuner.
+_QUIET_TIME = 0.5  # [s]
 
 
 @dataclass
