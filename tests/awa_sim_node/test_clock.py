@@ -38,7 +38,8 @@ def test_the_node_can_be_the_clock(
     times = [seconds(message.clock) for message in clock.messages]
     assert times == sorted(times)
     passed = times[-1] - first
-    assert 40.0 - 5.0 < passed < 50.0 * (time.monotonic() - began) + 10.0
+    # The first message may have waited for half a second on a busy computer.
+    assert 40.0 - 5.0 < passed < 50.0 * (time.monotonic() - began + 0.5)
 
 
 def test_the_machine_follows_the_clock_of_others(
