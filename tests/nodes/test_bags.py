@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,13 @@ def rosbag2(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         del sys.modules[name]
 
 
+@cache  # serialized once for all bags: the bytes between the fields of a message are random
+def serialized(name: str, index: int) -> bytes:
+    if "x" in name:
+        return serialize_message(Float64(data=index / 3))
+    return serialize_message(Evaluation(index=index, run_id="run"))
+
+
 def fill(bag: Bag) -> None:
     topics = {}
     for name, (kind, offers) in TOPICS.items():
@@ -47,10 +55,7 @@ def fill(bag: Bag) -> None:
         type_name = f"{package}/{folder}/{kind.__name__}"
         topics[name] = bag.add_topic(name, type_name, find_definition(type_name), offers)
     for index, name in itertools.product(range(3), list(TOPICS)[:3]):  # one stays empty
-        message = (
-            Evaluation(index=index, run_id="run") if "x" not in name else Float64(data=index / 3)
-        )
-        bag.write(topics[name], 1_000_000_000 + index, serialize_message(message))
+        bag.write(topics[name], 1_000_000_000 + index, serialized(name, index))
         bag.flush()
     assert bag.message_count == 9
     bag.close()
