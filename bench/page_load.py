@@ -31,6 +31,7 @@ from robustness.processes import NodeProcess
 OBJECTIVES = [f"f{i}" for i in range(7)]
 VARIABLES = [f"x{i}" for i in range(6)]
 FRONT = 200  # points
+START_TIMEOUT = 60.0  # [s]
 FLAGS = ("--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking")
 
 
@@ -142,7 +143,10 @@ def measure(options: argparse.Namespace, folder: Path) -> None:
             stderr_path=folder / "page.err",
         )
         try:
+            deadline = time.monotonic() + START_TIMEOUT
             while "page: " not in process.stdout:
+                if time.monotonic() > deadline or not process.running:
+                    raise SystemExit(f"the page did not start: {process.stderr}")
                 time.sleep(0.1)
             address = process.stdout.partition("page: ")[2].split()[0]
             player.begin()
@@ -163,7 +167,7 @@ def follow(
     print(f"server {resident(pid):.0f} MB before")
     while player.count < options.evaluations:
         player.publish(whole=player.count % 100 == 0)
-        time.sleep(0.001)
+        time.sleep(0.001)  # so that the messages leave before the next ones
     page.wait_for_timeout(5000)
     began = time.monotonic()
     noted, lags = 0.0, []

@@ -16,27 +16,15 @@ from launcher.command_line import STEERING, make_parser
 from mobo_tuner.client import RunResult, TunerClient
 from mobo_tuner.nodes import steer
 from tests.support.processes import NodeProcess, wait_until
+from tests.support.tuner import EASY
 
 MANUAL = Path(__file__).parents[1] / "docs" / "operations.md"
 ROOT = MANUAL.parents[1]
-# Points that are all good, so that there is a front at once.
-CONFIG = """
-/**:
-  ros__parameters:
-    variables:
-      K1:   {min: 400.0, max: 550.0, unit: A}
-      K2:   {min: 180.0, max: 280.0, unit: A}
-      phi1: {min: -10.0, max: 0.0, unit: deg}
-      phi2: {min: -10.0, max: 0.0, unit: deg}
-      G1:   {min: 60.0, max: 75.0, unit: MV/m}
-      G2:   {min: 15.0, max: 25.0, unit: MV/m}
-    objectives:
-      eps_x: {reference: 1.0e+6, unit: mm mrad}
-      dE:    {reference: 1.0e+3, unit: MeV}
+CONFIG = f"""{EASY}
     constraints:
-      transmission: {min: 0.0}
+      transmission: {{min: 0.0}}
 /**/awa_sim:
-  ros__parameters: {speed: 1000.0, mode: ideal}
+  ros__parameters: {{speed: 1000.0, mode: ideal}}
 """
 REST = "phi1=-5 phi2=-5 G1=70 G2=20"  # of the set-point that the manual abbreviates
 ENDING = ("stop", "cancel")  # verbs that end the run, and `watch` with it

@@ -25,6 +25,21 @@ from mobo_tuner.machine.double import Answer, MachineDouble
 from tests.support.processes import TIMEOUT
 
 CONFIG = Path(__file__).parents[2] / "config"
+# The injector with two objectives in which every point is good, so that there is a front at once.
+EASY = """
+/**:
+  ros__parameters:
+    variables:
+      K1:   {min: 400.0, max: 550.0, unit: A}
+      K2:   {min: 180.0, max: 280.0, unit: A}
+      phi1: {min: -10.0, max: 0.0, unit: deg}
+      phi2: {min: -10.0, max: 0.0, unit: deg}
+      G1:   {min: 60.0, max: 75.0, unit: MV/m}
+      G2:   {min: 15.0, max: 25.0, unit: MV/m}
+    objectives:
+      eps_x: {reference: 1.0e+6, unit: mm mrad}
+      dE:    {reference: 1.0e+3, unit: MeV}
+"""
 Spin = Callable[..., None]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 from nicegui import ui
@@ -17,7 +18,7 @@ from mobo_tuner.page.words import labelled, number, quantity
 Plot = Callable[[RunBoard], charts.Options]
 
 
-class TracesPanel:
+class TracesPanel(ABC):
     """One small plot for each quantity; the plots are made again only if the quantities change."""
 
     def __init__(self, viewer: Viewer) -> None:
@@ -25,9 +26,9 @@ class TracesPanel:
         self._charts: dict[str, ui.echart] = {}
         self._body = ui.element("div").classes("traces")
 
+    @abstractmethod
     def plots(self, problem: Problem) -> dict[str, Plot]:
         """Return the plot of each quantity, by its name."""
-        raise NotImplementedError
 
     def refresh(self, run: RunBoard) -> None:
         """Show the quantities as they are now."""
