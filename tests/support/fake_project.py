@@ -97,8 +97,10 @@ if name == "console":
     with open("journal.jsonl", "w") as file:
         file.write("{}\\n")
     print("tuning")
+    # a page that plays a part is waited for too: before it is ready a signal ends it without a word
+    nodes = ("tuner", "recorder", *(("page",) if os.environ.get("PLAY_PAGE") in ("wait", "ends badly") else ()))
     for _ in range(600):
-        if all(os.path.exists(ready_file(node)) for node in ("tuner", "recorder")):
+        if all(os.path.exists(ready_file(node)) for node in nodes):
             break
         time.sleep(0.05)
     note("ready")
