@@ -122,15 +122,15 @@ def play(
     played = Played(
         float(optimizer.hypervolume),
         float(optimizer.hypervolume_measured),
-        _true_hypervolume(benchmark, data.inputs[front]),
-        _true_hypervolume(benchmark, data.inputs[data.valid]),
+        true_hypervolume(benchmark, data.inputs[front]),
+        true_hypervolume(benchmark, data.inputs[data.valid]),
         int(data.failed.sum()),
     )
     path.write_text(json.dumps(vars(played)), encoding="utf-8")
     return played
 
 
-def _true_hypervolume(benchmark: Benchmark, inputs: FloatArray) -> float:
+def true_hypervolume(benchmark: Benchmark, inputs: FloatArray) -> float:
     """Return the hypervolume of the noiseless values at feasible set-points `(n, d)`."""
     if len(inputs) == 0:
         return 0.0

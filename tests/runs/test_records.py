@@ -167,7 +167,9 @@ def test_what_a_failed_evaluation_teaches() -> None:
     partly = {"f": (1.0, 0.1), "g": (math.nan, math.nan)}
 
     def failed(diagnostics: dict[str, tuple[float, float]], error_code: int) -> bool | None:
-        told = history.told(PROBLEM, {"K1": 1.0}, diagnostics, {}, error_code, history.SETPOINT)
+        told = history.told(
+            PROBLEM, {"K1": 1.0}, diagnostics, {}, error_code, history.SETPOINT, 1.0
+        )
         return told.failed
 
     assert failed(whole, code.NONE) is None
@@ -181,5 +183,5 @@ def test_what_a_failed_evaluation_teaches() -> None:
 def test_readbacks_are_told_where_the_models_learn_from_them() -> None:
     readbacks = {"K1": 1.25, "elsewhere": 3.0}
     for model_input, expected in ((history.SETPOINT, {}), (history.READBACK, {"K1": 1.25})):
-        told = history.told(PROBLEM, {"K1": 1.0}, {}, readbacks, 0, model_input)
+        told = history.told(PROBLEM, {"K1": 1.0}, {}, readbacks, 0, model_input, math.nan)
         assert told.readbacks == expected

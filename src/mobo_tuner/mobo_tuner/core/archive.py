@@ -70,9 +70,10 @@ class Archive:
         outputs: Mapping[str, Measured | None],
         readbacks: Mapping[str, float],
         failed: bool | None,
+        time: float | None,
     ) -> Evaluation:
         """Add an evaluation; arguments and errors are those of `Optimizer.tell`."""
-        evaluation = self.dataset.add(setpoint, outputs, readbacks, failed)
+        evaluation = self.dataset.add(setpoint, outputs, readbacks, failed, time)
         self._forget_belief()
         if not self.problem.has_references:
             self._infer_references()
@@ -138,7 +139,8 @@ class Archive:
     def is_certain(self) -> bool:
         """Whether every reading counts as it is and none is missing."""
         # The paper takes readings as they are, and its training is too slow for a belief after each.
-        return self._settings.training == "adam" or is_certain(self.dataset, self.models)
+        as_they_are = self._settings.training == "adam" and not self.models.drifts
+        return as_they_are or is_certain(self.dataset, self.models)
 
     @property
     def suspected(self) -> list[tuple[int, str]]:

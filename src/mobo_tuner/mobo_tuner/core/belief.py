@@ -83,7 +83,7 @@ def probability_nondominated(
 def is_certain(data: Dataset, models: Models) -> bool:
     """Return whether every reading counts as it is and none is missing, so that no model is needed."""
     incomplete = (data.valid & ~data.complete).any()
-    return not (incomplete or models.has_suspects or models.is_noisy(data))
+    return not (incomplete or models.has_suspects) and models.trusts_readings(data)
 
 
 def measured(data: Dataset) -> Belief:
@@ -107,7 +107,7 @@ def believe(data: Dataset, models: Models) -> Belief:
             mean, stddev = model.predict(inputs[valid])
             objectives[valid, column], stddevs[valid, column] = mean, stddev
     trusted = np.isfinite(readings)
-    if models.is_noisy(data):
+    if not models.trusts_readings(data):
         trusted &= np.isnan(objectives)
     objectives[trusted], stddevs[trusted] = readings[trusted], 0.0
     required = [data.column(name) for name in problem.required_diagnostics]
@@ -116,7 +116,7 @@ def believe(data: Dataset, models: Models) -> Belief:
     for name, model, lower, upper in models.limited:
         values = data.column(name) * signs.get(name, 1.0)
         values[models.suspects(name)] = np.nan
-        unknown = valid & (np.isnan(values) | models.is_noisy(data))
+        unknown = valid & (np.isnan(values) | (not models.trusts_readings(data)))
         if unknown.any() and model.n:
             values[unknown] = model.predict(inputs[unknown])[0]
         feasible &= (lower <= values) & (values <= upper)

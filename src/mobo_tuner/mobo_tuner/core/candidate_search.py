@@ -70,7 +70,7 @@ class CandidateSearch:
         )
         point: Array = np.asarray(design[index])
         used = taken(self._data)
-        if used.contains(point[None])[0] and not self._models.is_noisy(self._data):
+        if used.contains(point[None])[0] and self._models.trusts_readings(self._data):
             rng = np.random.default_rng([self._seed, 4, index])
             return explore(self._data.inputs, used, rng, domain=self._problem.domain)
         return point
@@ -208,7 +208,7 @@ class CandidateSearch:
         again = bool(used.contains(x[None])[0])
         if not again and distances[nearest] > _NEAR:
             return True
-        if again and not self._models.is_noisy(self._data):
+        if again and self._models.trusts_readings(self._data):
             return False
         return self._models.expects_news(x, known[nearest])
 

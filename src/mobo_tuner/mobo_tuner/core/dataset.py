@@ -30,6 +30,7 @@ class Evaluation:
         stddevs: Their standard deviations; NaN where unknown.
         readbacks: Readbacks of variables, as far as they were told; the models learn from them in
             place of the set-point's values.
+        time: When it was measured [s]; where no time was told, 1 s after the evaluation before.
         reported_failed: What the machine reported; None where it reported nothing and the values decide.
         failed: Whether the machine reported a failure or, without a report, measured no objective and
             no constrained diagnostic.
@@ -44,6 +45,7 @@ class Evaluation:
     values: Mapping[str, float]
     stddevs: Mapping[str, float]
     readbacks: Mapping[str, float]
+    time: float
     reported_failed: bool | None
     failed: bool
     complete: bool
@@ -89,6 +91,7 @@ class Dataset:
         outputs: Mapping[str, Measured | None],
         readbacks: Mapping[str, float] = {},
         failed: bool | None = None,
+        time: float | None = None,
     ) -> Evaluation:
         """Append one evaluation.
 
@@ -100,6 +103,8 @@ class Dataset:
                 farther from the bounds than a set-point may be, is not known.
             failed: Whether the machine reported a failure; None lets the outputs decide: the
                 evaluation failed if no objective and no constrained diagnostic was measured.
+            time: When it was measured, from any fixed moment on [s]; None for 1 s after the evaluation
+                before.
 
         Raises:
             ProblemError: If the set-point is not one of the problem's, a readback is of none of its
@@ -110,6 +115,7 @@ class Dataset:
         if not isinstance(outputs, Mapping):
             raise ProblemError(f"the outputs must be a mapping of names, not {outputs!r:.60}")
         measured = {name: self._measured(name, value) for name, value in outputs.items()}
+        when = self._time(time)
         values = {name: mean for name, (mean, _) in measured.items()}
         if failed is None:
             required = self.problem.required_diagnostics
@@ -123,6 +129,7 @@ class Dataset:
                 values=values,
                 stddevs={name: stddev for name, (_, stddev) in measured.items()},
                 readbacks=known,
+                time=when,
                 reported_failed=failed,
                 failed=inferred,
                 complete=False,
@@ -215,6 +222,15 @@ class Dataset:
                 x[j] = where
         return x, known
 
+    def _time(self, time: float | None) -> float:
+        """Return the time of the next evaluation."""
+        if time is None:
+            return self.evaluations[-1].time + 1.0 if self.evaluations else 0.0
+        when = as_float("time", time)
+        if not abs(when) <= LARGEST:
+            raise ProblemError(f"time is {when}; a finite number of seconds is allowed")
+        return when
+
     def _measured(self, name: str, value: Measured | None) -> tuple[float, float]:
         """Return mean and standard deviation; NaN if not measured or unknown."""
         if not isinstance(name, str):
@@ -240,6 +256,11 @@ class Dataset:
     def targets(self) -> Array:
         """Normalised set-points of all evaluations ``(n, d)``."""
         return self._once("targets", lambda: self._matrix(self._targets))
+
+    @property
+    def times(self) -> Array:
+        """When each evaluation was measured ``(n,)`` [s]."""
+        return self._once("times", lambda: np.array([e.time for e in self.evaluations]))
 
     @property
     def failed(self) -> BoolArray:

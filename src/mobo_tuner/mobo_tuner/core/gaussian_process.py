@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
-from mobo_tuner.core.kernels import Kernel, as_inputs
+from mobo_tuner.core.kernels import Kernel, Timed, as_inputs
 from mobo_tuner.core.linear_algebra import FloatArray, single_blas_thread
 from mobo_tuner.core.output_scaling import OutputScaling, is_constant
 from mobo_tuner.core.posterior import Posterior
-from mobo_tuner.core.training import noise_evidence, train
+from mobo_tuner.core.training import drift_evidence, noise_evidence, train
 
 __all__ = ["GaussianProcess", "GaussianProcessSettings", "LeaveOneOut", "Prediction"]
 
@@ -83,6 +83,14 @@ class GaussianProcess:
             settings' mean and transform.
         mean_gradient: Gradient of `mean`, from inputs `(m, d)` to `(m, d)`; by default central
             differences.
+        timed: Whether the last input is time, which nobody sets. Predictions at inputs without it are
+            for the time `now`.
+
+    Attributes:
+        settings: Settings of the model.
+        reference: Component of the reference point; None if there is none.
+        timed: Whether the last input is time.
+        now: Time of predictions, in the unit of the last input.
 
     Raises:
         ValueError: If the reference is missing or not finite, or a gradient is given without a mean.
@@ -95,8 +103,11 @@ class GaussianProcess:
         *,
         mean: MeanFunction | None = None,
         mean_gradient: MeanFunction | None = None,
+        timed: bool = False,
     ) -> None:
         self.settings = settings or GaussianProcessSettings()
+        self.timed = timed
+        self.now = 0.0
         if mean is None and mean_gradient is not None:
             raise ValueError("mean_gradient needs a mean function")
         self._mean, self._mean_gradient = mean, mean_gradient
@@ -144,7 +155,7 @@ class GaussianProcess:
         """
         d = None if self._state is None else self._state.posterior.kernel.d
         inputs, outputs, noise = _checked_data(x, y, stddev, d)
-        kernel = self.settings.make_kernel(inputs.shape[1])
+        kernel = self.settings.make_kernel(inputs.shape[1], self.timed)
         generator = np.random.default_rng(0) if rng is None else rng
         starts = self.settings.restarts if restarts is None else restarts
         part = slice(None, None, -(-len(outputs) // (most_trained or len(outputs))))
@@ -239,7 +250,7 @@ class GaussianProcess:
         In the output's units and without the noise of an observation.
         """
         model, posterior, *_ = self._fitted
-        inputs = as_inputs(x, posterior.kernel.d)
+        inputs = self._timed_inputs(x)
         with single_blas_thread():
             mean, stddev = posterior.predict(inputs)
         return model.scaling.to_output(*model.scaling.unstandardise(inputs, mean, stddev))
@@ -247,17 +258,16 @@ class GaussianProcess:
     def predict_with_gradient(self, x: ArrayLike) -> Prediction:
         """Return the results of `predict` and their gradients in x; O(m n^2), about twice the time."""
         (_, scaling, _), posterior, *_ = self._fitted
-        inputs = as_inputs(x, posterior.kernel.d)
+        inputs = self._timed_inputs(x)
+        d = np.shape(x)[1]
         with single_blas_thread():
             mean, stddev, gradients = posterior.predict_with_gradient(inputs)
         mean, stddev = scaling.unstandardise(inputs, mean, stddev)
         mean_gradient = scaling.prior_mean_gradient(inputs) + scaling.scale * gradients.mean
-        return Prediction(
-            *scaling.to_output(mean, stddev),
-            *scaling.gradients_to_output(
-                mean, stddev, mean_gradient, scaling.scale * gradients.stddev
-            ),
+        by_mean, by_stddev = scaling.gradients_to_output(
+            mean, stddev, mean_gradient, scaling.scale * gradients.stddev
         )
+        return Prediction(*scaling.to_output(mean, stddev), by_mean[:, :d], by_stddev[:, :d])
 
     def leave_one_out(self) -> LeaveOneOut:
         """Predict every observation from all others with the same hyperparameters; O(n^2)."""
@@ -276,7 +286,7 @@ class GaussianProcess:
             normals: Independent standard normal numbers `(s, m)`.
         """
         model, posterior, *_ = self._fitted
-        inputs = as_inputs(x, posterior.kernel.d)
+        inputs = self._timed_inputs(x)
         with single_blas_thread():
             mean, root = posterior.joint(inputs)
             drawn = model.scaling.prior_mean(inputs) + model.scaling.scale * (
@@ -293,11 +303,38 @@ class GaussianProcess:
                 self.settings, posterior.kernel, posterior.x, posterior.z, known, model.parameters
             )
 
+    def drift_evidence(self, times: FloatArray) -> float:
+        """Return the log evidence that the function changes with time, see `training.drift_evidence`.
+
+        Args:
+            times: Times of the observations `(n,)`, in the unit of the last input.
+        """
+        model, posterior, y, stddev = self._fitted
+        d = posterior.kernel.d - self.timed
+        x = np.column_stack([posterior.x[:, :d], times])
+        shape = posterior.shape[:-1] if self.timed else posterior.shape
+        known = self._known_noise(model.scaling, y, stddev)
+        with single_blas_thread():
+            return drift_evidence(
+                self.settings,
+                Timed(self.settings.make_kernel(d)),
+                x,
+                posterior.z,
+                known,
+                np.concatenate([shape, [0.0], model.parameters[-2:]]),
+            )
+
     def untrained(self) -> GaussianProcess:
         """Return a model with the same settings and no observations."""
-        return GaussianProcess(
-            self.settings, self.reference, mean=self._mean, mean_gradient=self._mean_gradient
+        model = GaussianProcess(
+            self.settings,
+            self.reference,
+            mean=self._mean,
+            mean_gradient=self._mean_gradient,
+            timed=self.timed,
         )
+        model.now = self.now
+        return model
 
     # What was learned.
 
@@ -319,9 +356,10 @@ class GaussianProcess:
 
     @property
     def precision(self) -> FloatArray:
-        """Precision matrix Lambda `(d, d)`; length-scales are `1 / sqrt` of its diagonal."""
+        """Precision matrix Lambda `(d, d)` without time; length-scales are `1 / sqrt` of its diagonal."""
         factor = self._fitted.posterior.factor
-        return np.asarray(factor @ factor.T)
+        whole = np.asarray(factor @ factor.T)
+        return whole[:-1, :-1] if self.timed else whole
 
     @property
     def variance(self) -> float:
@@ -362,7 +400,8 @@ class GaussianProcess:
     def noise_at(self, x: FloatArray) -> float:
         """Return the standard deviation of one observation near x `(d,)`: learned, and known at the nearest one."""
         model, posterior, _, stddev = self._fitted
-        nearest = int(np.square(posterior.x - x).sum(axis=1).argmin())
+        here = self._timed_inputs(x[None])
+        nearest = int(np.square(posterior.x - here).sum(axis=1).argmin())
         fixed = 0.0 if isinstance(self.settings.noise, str) else self.settings.noise
         learned = 0.0 if model.scaling.log else self.noise
         return float(np.sqrt(learned**2 + stddev[nearest] ** 2 + fixed**2))
@@ -375,6 +414,7 @@ class GaussianProcess:
             "settings": self.settings.to_dict(),
             "reference": self.reference,
             "mean_function": self._mean is not None,
+            "timed": self.timed,
             "trained": {name: parameters.tolist() for name, parameters in self._trained.items()},
             "fitted": None,
         }
@@ -418,11 +458,16 @@ class GaussianProcess:
         if state["mean_function"] != (mean is not None):
             raise ValueError("mean must be given if and only if the model was made with one")
         settings = GaussianProcessSettings.from_dict(state["settings"])
-        restored = cls(settings, state["reference"], mean=mean, mean_gradient=mean_gradient)
+        timed = bool(state.get("timed", False))
+        restored = cls(
+            settings, state["reference"], mean=mean, mean_gradient=mean_gradient, timed=timed
+        )
         fitted = state["fitted"]
         if fitted is None:
             return restored
-        kernel = settings.make_kernel(fitted["d"])
+        if not fitted["d"] > timed:
+            raise ValueError(f"the state has {fitted['d']} inputs, time included")
+        kernel = settings.make_kernel(fitted["d"], timed)
         restored._trained = {
             name: _hyperparameters(values, kernel) for name, values in state["trained"].items()
         }
@@ -449,6 +494,14 @@ class GaussianProcess:
         return restored
 
     # Inside.
+
+    def _timed_inputs(self, x: ArrayLike) -> FloatArray:
+        """Return the inputs of predictions with the time `now`, if they lack a time."""
+        d = self._fitted.posterior.kernel.d
+        if not self.timed or np.shape(x)[-1] == d:
+            return as_inputs(x, d)
+        inputs = as_inputs(x, d - 1)
+        return np.column_stack([inputs, np.full(len(inputs), self.now)])
 
     @property
     def _fitted(self) -> _State:

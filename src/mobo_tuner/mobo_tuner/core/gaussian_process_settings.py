@@ -9,7 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from mobo_tuner.core.kernels import KERNELS, Kernel
+from mobo_tuner.core.kernels import KERNELS, Kernel, Timed
 from mobo_tuner.core.linear_algebra import FloatArray
 from mobo_tuner.errors import ParameterError
 from mobo_tuner.parameter_spec import check_fields, parameter
@@ -109,16 +109,20 @@ class GaussianProcessSettings:
                     "matrix are allowed"
                 )
 
-    def make_kernel(self, d: int) -> Kernel:
-        """Return the kernel for d inputs."""
-        return KERNELS.find(self.kernel)(d)
+    def make_kernel(self, d: int, timed: bool = False) -> Kernel:
+        """Return the kernel for d inputs; with `timed`, the last of them is time."""
+        kernel = KERNELS.find(self.kernel)
+        return Timed(kernel(d - 1)) if timed else kernel(d)
 
     def held_shape(self, kernel: Kernel) -> FloatArray | None:
         """Return the shape parameters `(k,)` that are held; None if they are trained.
 
+        The time scale of a kernel with time is not among them: it is always trained.
+
         Raises:
             ValueError: If the length-scales or the precision matrix do not suit the kernel.
         """
+        kernel = kernel.settable if isinstance(kernel, Timed) else kernel
         if self.precision is not None:
             size = math.isqrt(len(self.precision))
             if size != kernel.d:

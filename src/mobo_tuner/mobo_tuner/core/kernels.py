@@ -33,6 +33,8 @@ SHORTEST_LENGTH_SCALE = 0.05
 LONGEST_LENGTH_SCALE = 100.0
 _LARGEST_TRIANGLE_ENTRY = 20.0
 _LENGTH_SCALE_SPREAD = 0.5  # scale of the prior of the logarithm
+LONGEST_TIME_SCALE = 1e4
+_TIME_SCALE_SPREAD = 1.0
 _FREEDOM = 3.0
 
 
@@ -349,6 +351,60 @@ class RBFFull(Kernel):
         return ShapePrior(
             np.concatenate([np.zeros(m), np.full(self.d, -2.0 * typical_log_length_scale(self.d))]),
             np.concatenate([np.ones(m), np.full(self.d, 2.0 * _LENGTH_SCALE_SPREAD)]),
+        )
+
+
+class Timed(Kernel):
+    """Another kernel with time as one more input, the last one, which nobody sets.
+
+        k((x, t), (x', t')) = s^2 g(r^2 + (t - t')^2 / l_t^2)
+
+    Parameters: those of the other kernel, then `log l_t`.
+
+    Args:
+        settable: Kernel of the other inputs.
+    """
+
+    def __init__(self, settable: Kernel) -> None:
+        super().__init__(settable.d + 1)
+        self.settable = settable
+
+    @property
+    def size(self) -> int:
+        """Number of parameters: those of the other kernel and one for time."""
+        return self.settable.size + 1
+
+    def profile(self, squared_distance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the profile and the slope of the other kernel."""
+        return self.settable.profile(squared_distance)
+
+    def factor(self, parameters: FloatArray) -> FloatArray:
+        """Return the other kernel's factor and `1 / l_t` on the diagonal."""
+        factor = np.zeros((self.d, self.d))
+        factor[:-1, :-1] = self.settable.factor(parameters[:-1])
+        factor[-1, -1] = np.exp(-parameters[-1])
+        return factor
+
+    def pull_back(self, parameters: FloatArray, precision_gradient: FloatArray) -> FloatArray:
+        """Return the other kernel's gradient and, for time, that of an anisotropic kernel."""
+        others = self.settable.pull_back(parameters[:-1], precision_gradient[:-1, :-1])
+        time = -2.0 * np.exp(-2.0 * parameters[-1]) * precision_gradient[-1, -1]
+        return np.append(others, time)
+
+    def default_parameters(self) -> FloatArray:
+        """Return the other kernel's default and a time scale of one unit."""
+        return np.append(self.settable.default_parameters(), 0.0)
+
+    def bounds(self) -> FloatArray:
+        """Return the other kernel's bounds and time scales from 0.05 to 10000 units."""
+        time = np.log([SHORTEST_LENGTH_SCALE, LONGEST_TIME_SCALE])
+        return np.vstack([self.settable.bounds(), time])
+
+    def prior(self) -> ShapePrior:
+        """Return the other kernel's prior and one around a time scale of one unit."""
+        prior = self.settable.prior()
+        return ShapePrior(
+            np.append(prior.location, 0.0), np.append(prior.scale, _TIME_SCALE_SPREAD)
         )
 
 

@@ -16,6 +16,7 @@ from mobo_tuner.core.dataset import BoolArray, Dataset
 from mobo_tuner.core.exploration import spread_out
 from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.gaussian_process_settings import MeanFunction
+from mobo_tuner.core.kernels import LONGEST_TIME_SCALE
 from mobo_tuner.core.pareto import is_nondominated
 from mobo_tuner.core.problem import LARGEST, Array, Problem, ProblemError
 from mobo_tuner.core.resolution import readings_differ
@@ -32,6 +33,8 @@ _NEWS = 1e-3  # of the readings' spread
 _NEWS_OF_NOISE = 0.4  # of the noise: about that of six readings' average
 _NOISY = 11.0  # log evidence from which on the machine is taken for noisy
 _FEW = 60  # evaluations up to which every training weighs it
+_DRIFTS = 10.0  # log evidence from which on the machine is taken to drift
+_TIME_UNIT = 100  # evaluations in a unit of time, if none is given
 
 PriorMean = Callable[[Mapping[str, Array]], Array]
 """Predicts one quantity in its own unit, shape ``(n,)``, from one array ``(n,)`` per variable."""
@@ -75,21 +78,11 @@ class Models:
         if prior_means is not None and not isinstance(prior_means, Mapping):
             raise ProblemError(f"prior_means must be a mapping of names, not {prior_means!r:.60}")
         self._means = {n: self._mean_function(n, f) for n, f in (prior_means or {}).items()}
-        process = settings.gaussian_process
-        self._processes = {
-            o.name: GaussianProcess(
-                process,
-                # One that is not inferred yet: no model is used before it is.
-                o.sign * o.reference if math.isfinite(o.reference) else 0.0,
-                mean=self._means.get(o.name),
-            )
-            for o in problem.objectives
-        }
-        # A constrained diagnostic has no reference point; its mean is that of the data.
-        constrained = replace(process, mean="data") if process.mean == "reference" else process
-        for name in problem.required_diagnostics:
-            if name not in self._processes:
-                self._processes[name] = GaussianProcess(constrained, mean=self._means.get(name))
+        self._settings = settings
+        self._drift_evidence = 0.0  # of all outputs together, at the last training
+        self._timed = settings.drift == "on"  # whether time is an input of the processes
+        self._clock = (0.0, 1.0)  # the latest time and the unit of time at the last training [s]
+        self._processes = self._untrained()
         for name in self._means:
             if name not in self._processes:
                 raise ProblemError(
@@ -107,6 +100,28 @@ class Models:
         self._noise = settings.noise
         self._noise_evidence = 0.0  # of all outputs together, at the last training
 
+    def _untrained(self) -> dict[str, GaussianProcess]:
+        """Return the process of every output, without observations."""
+        process = self._settings.gaussian_process
+        processes = {
+            o.name: GaussianProcess(
+                process,
+                # One that is not inferred yet: no model is used before it is.
+                o.sign * o.reference if math.isfinite(o.reference) else 0.0,
+                mean=self._means.get(o.name),
+                timed=self._timed,
+            )
+            for o in self._problem.objectives
+        }
+        # A constrained diagnostic has no reference point; its mean is that of the data.
+        constrained = replace(process, mean="data") if process.mean == "reference" else process
+        for name in self._problem.required_diagnostics:
+            if name not in processes:
+                processes[name] = GaussianProcess(
+                    constrained, mean=self._means.get(name), timed=self._timed
+                )
+        return processes
+
     def _mean_function(self, name: str, prior_mean: PriorMean) -> MeanFunction:
         """Return the prior mean of what is modelled, as a function of normalised inputs."""
         sign = self._signs.get(name, 1.0)
@@ -114,7 +129,7 @@ class Models:
             raise ProblemError(f"the prior mean of '{name}' must be a function")
 
         def mean(x: Array) -> Array:
-            predicted = prior_mean(self._problem.columns(x))
+            predicted = prior_mean(self._problem.columns(x[:, : len(self._problem.variables)]))
             try:
                 values = np.asarray(predicted, dtype=float)
             except (TypeError, ValueError):
@@ -199,7 +214,19 @@ class Models:
             return True
         if any((data.stddev_column(name) > 0.0).any() for name in self._processes):
             return True
-        return self._learns_noise or (isinstance(self._noise, str) and data.once(readings_differ))
+        if self._learns_noise or self.drifts:
+            return self._learns_noise
+        return isinstance(self._noise, str) and data.once(readings_differ)
+
+    @property
+    def drifts(self) -> bool:
+        """Whether the machine changes with time: as the settings say, or by the evidence."""
+        drift = self._settings.drift
+        return drift == "on" or (drift == "auto" and self._drift_evidence > _DRIFTS)
+
+    def trusts_readings(self, data: Dataset) -> bool:
+        """Return whether a reading counts as it is: the machine neither drifts nor is noisy."""
+        return not (self.drifts or self.is_noisy(data))
 
     @property
     def _learns_noise(self) -> bool:
@@ -248,13 +275,24 @@ class Models:
             self._trained, self._trained_rows = count, len(data)
         return trained
 
-    def _learn(self, data: Dataset, train: bool, restarts: int | None) -> bool:
+    def _learn(self, data: Dataset, train: bool, restarts: int | None, again: bool = False) -> bool:
         """Give every process the rows of its output, by training or one after the other.
+
+        Args:
+            data: Evaluations.
+            train: Whether to train.
+            restarts: Number of random starts in place of the settings'.
+            again: Whether this is done once more because of what the training before has shown.
 
         Returns:
             Whether any process was trained.
         """
-        count, inputs = self._count(data), data.inputs
+        if train:
+            self._clock = self._clock_of(data.times)
+            if self._timed != self.drifts:
+                self._timed, restarts = self.drifts, None
+                self._processes = self._untrained()
+        count, inputs = self._count(data), self._inputs(data)
         trained = train
         begin = time.monotonic()
         noisy = self._learns_noise
@@ -284,13 +322,67 @@ class Models:
                 for row in rows[rows >= self._held]:
                     process.add(inputs[row], float(y[row]), float(stddev[row]))
         self._held = len(data)
+        self._set_now(data)
         if train and self.has_suspects and (restarts is None or count <= _FEW):
             self._suspect_together(data, noisy, count)
         if train and (restarts is None or count <= _FEW):
-            self._weigh_noise(begin + _TRAINING_SHARE * self._seconds)
+            deadline = begin + _TRAINING_SHARE * self._seconds
+            if self._settings.drift == "auto" and not again:
+                self._weigh_drift(data, deadline)
+                if self.drifts != self._timed and not self._is_hurried:
+                    return self._learn(data, train, restarts, again=True)
+            self._weigh_noise(deadline)
             if self._learns_noise and not noisy and not self._is_hurried:
-                self._learn(data, train, restarts)
+                self._learn(data, train, restarts, again=True)
         return trained
+
+    # ------------------------------------------------------------------ time
+
+    def _clock_of(self, times: Array) -> tuple[float, float]:
+        """Return the latest of some times ``(n,)`` and the unit of time [s].
+
+        The unit is the time in which the machine changes noticeably, as the settings say or in the
+        order of magnitude in which that would matter to a run.
+        """
+        unit = self._settings.drift_time
+        if not unit:
+            steps = np.diff(np.sort(times))
+            unit = _TIME_UNIT * (float(np.median(steps)) if len(steps) else 1.0)
+        return float(times.max(initial=-math.inf)), unit or 1.0
+
+    def _time_inputs(self, data: Dataset) -> Array:
+        """Return when each evaluation was measured ``(n,)``, before the last training, in units of time."""
+        latest, unit = self._clock
+        # What is older than any time scale would only cost digits.
+        return np.maximum((data.times - latest) / unit, -LONGEST_TIME_SCALE)
+
+    def _inputs(self, data: Dataset) -> Array:
+        """Return the inputs of the processes ``(n, d)``, with time as the last one if it is one."""
+        if not self._timed:
+            return data.inputs
+        return np.column_stack([data.inputs, self._time_inputs(data)])
+
+    def _set_now(self, data: Dataset) -> None:
+        """Let the processes predict for the time of the latest evaluation that they hold."""
+        if self._timed:
+            now = float(self._time_inputs(data)[: self._held].max(initial=-math.inf))
+            for process in self._processes.values():
+                process.now = now
+
+    def _weigh_drift(self, data: Dataset, deadline: float) -> None:
+        """Compute the evidence of drift; it stays as it was if time is up, by `time.monotonic`."""
+        evidence, times = 0.0, self._time_inputs(data)
+        for name, process in self._processes.items():
+            if time.monotonic() > deadline:
+                return
+            y, _ = self._observations(name, data)
+            rows = np.flatnonzero(np.isfinite(y))
+            rows = self._kept(data, rows) if len(rows) else rows
+            if len(rows) and len(rows) == process.n:
+                evidence += max(process.drift_evidence(times[rows]), 0.0)
+        self._drift_evidence = evidence
+
+    # ------------------------------------------------------------------ suspects
 
     def _suspect(
         self, name: str, data: Dataset, rows: NDArray[np.intp], noisy: bool, seed: list[int]
@@ -308,7 +400,7 @@ class Models:
         former = self.suspects(name)
         former = former[np.isfinite(y[former])]
         every = np.union1d(rows, former)
-        x, process = data.inputs, self._processes[name]
+        x, process = self._inputs(data), self._processes[name]
         found = find_suspects(
             process,
             x[every],
@@ -342,7 +434,7 @@ class Models:
         y, stddev = data.column(name) * self._signs.get(name, 1.0), data.stddev_column(name)
         process = self._processes[name] = self._processes[name].untrained()
         rng = np.random.default_rng(seed)
-        process.fit(data.inputs[rows], y[rows], stddev[rows], rng=rng, noisy=noisy)
+        process.fit(self._inputs(data)[rows], y[rows], stddev[rows], rng=rng, noisy=noisy)
 
     def suspects(self, name: str) -> NDArray[np.intp]:
         """Return the evaluations whose reading of an output is suspected, in their order."""
@@ -376,7 +468,7 @@ class Models:
         if self._last_kept[0] != key:  # it is the same for most outputs
             good = rows[is_nondominated(objectives) & feasible]
             last = rows[-self._most // 4 :]
-            kept = spread_out(data.inputs, rows, [last, good], self._most)
+            kept = spread_out(self._inputs(data), rows, [last, good], self._most)
             self._last_kept = key, kept
         return self._last_kept[1]
 
@@ -417,7 +509,8 @@ class Models:
                 self._processes[name] = process.untrained()
             else:
                 learn = process.condition if process.n else process.fit
-                learn(data.inputs[rows], y[rows], stddev[rows])
+                learn(self._inputs(data)[rows], y[rows], stddev[rows])
+        self._set_now(data)
         self._outdated = self._judged > 0
 
     def _observations(self, name: str, data: Dataset) -> tuple[Array, Array]:
@@ -435,6 +528,8 @@ class Models:
             "judged": self._judged,
             "outdated": self._outdated,
             "noise_evidence": self._noise_evidence,
+            "drift_evidence": self._drift_evidence,
+            "timed": self._timed,
             "suspects": {name: rows.tolist() for name, rows in self._suspects.items()},
             "validity": self.validity.get_state(),
             "processes": {name: p.get_state() for name, p in self._processes.items()},
@@ -450,6 +545,8 @@ class Models:
         self._held, self._judged = int(state["held"]), int(state["judged"])
         self._outdated = bool(state["outdated"])
         self._noise_evidence = float(state["noise_evidence"])
+        self._drift_evidence = float(state.get("drift_evidence", 0.0))
+        self._timed = bool(state.get("timed", False))
         self._suspects = {
             name: np.array(rows, dtype=np.intp) for name, rows in state["suspects"].items()
         }
@@ -464,6 +561,7 @@ class Models:
                 f"evaluations and hold {self._held}, those of failures {self._judged}, "
                 f"but there are {len(data)}"
             )
+        self._clock = self._clock_of(data.times[: self._trained_rows])
         judged = self._judged_rows(data)
         self.validity = ValidityModel.from_state(
             state["validity"], data.inputs[judged], ~data.failed[judged]
@@ -473,13 +571,14 @@ class Models:
             rows = self._rows(data, y)
             self._processes[name] = GaussianProcess.from_state(
                 state["processes"][name],
-                data.inputs[rows],
+                self._inputs(data)[rows],
                 y[rows],
                 stddev[rows],
                 mean=self._means.get(name),
             )
-            if self._processes[name].n != len(rows):
+            if self._processes[name].n != len(rows) or self._processes[name].timed != self._timed:
                 raise ProblemError(f"the state lacks what the model of '{name}' was fitted to")
+        self._set_now(data)
 
 
 def _is_time_to_restart(trained: int, count: int) -> bool:

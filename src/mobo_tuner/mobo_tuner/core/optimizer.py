@@ -157,6 +157,7 @@ class Optimizer:
         outputs: Mapping[str, Measured | None],
         readbacks: Mapping[str, float] = {},
         failed: bool | None = None,
+        time: float | None = None,
     ) -> Evaluation:
         """Learn what was measured at a set-point, whether it was suggested or not.
 
@@ -168,12 +169,14 @@ class Optimizer:
                 The models learn from them in place of the set-point's values.
             failed: Whether the machine reported a failure; None lets the outputs decide: the
                 evaluation failed if no objective and no constrained diagnostic was measured.
+            time: When it was measured, from any fixed moment on [s], for a machine that drifts; None
+                counts one second for each evaluation.
 
         Raises:
             ProblemError: If the set-point or a readback does not fit the problem, or an output is not
                 a number; nothing is learned.
         """
-        evaluation = self.archive.tell(setpoint, outputs, readbacks, failed)
+        evaluation = self.archive.tell(setpoint, outputs, readbacks, failed, time)
         self._warn_of_misspelt(outputs)
         return evaluation
 
@@ -373,7 +376,7 @@ class Optimizer:
     def _tell_all_to(self, other: Optimizer) -> None:
         for e in self.dataset.evaluations:
             outputs = {n: (v, e.stddevs[n]) for n, v in e.values.items()}
-            other.tell(e.setpoint, outputs, e.readbacks, e.reported_failed)
+            other.tell(e.setpoint, outputs, e.readbacks, e.reported_failed, e.time)
         for index, name in self.dataset.withdrawn:
             other.forget(index, name)
 

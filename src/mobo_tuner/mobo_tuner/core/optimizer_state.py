@@ -23,6 +23,7 @@ class Told(NamedTuple):
     outputs: Mapping[str, tuple[float, float]]
     readbacks: Mapping[str, float]
     failed: bool | None
+    time: float | None
 
 
 def evaluations_state(data: Dataset) -> list[dict[str, Any]]:
@@ -33,6 +34,7 @@ def evaluations_state(data: Dataset) -> list[dict[str, Any]]:
             "outputs": {n: [v, e.stddevs[n]] for n, v in e.values.items()},
             "readbacks": dict(e.readbacks),
             "failed": e.reported_failed,
+            "time": e.time,
         }
         for e in data.evaluations
     ]
@@ -46,6 +48,7 @@ def told_evaluations(state: Mapping[str, Any]) -> Iterator[Told]:
             {n: (pair[0], pair[1]) for n, pair in evaluation["outputs"].items()},
             evaluation.get("readbacks", {}),
             evaluation.get("failed"),
+            evaluation.get("time"),
         )
 
 

@@ -56,6 +56,19 @@ class OptimizerSettings(GaussianProcessSettings):
         choices=(SCHEDULE,),
         minimum=0.0,
     )
+    drift: str = parameter(
+        "none",
+        "Whether the machine changes with time, which is then an input of the models: never, by the "
+        "evidence (`auto`), or yes (`on`). Front, hypervolume and suggestions are those of now.",
+        choices=("none", "auto", "on"),
+    )
+    drift_time: float = parameter(
+        0.0,
+        "Time in which a drifting machine changes noticeably [s], about which the models learn more; "
+        "0 = that of a hundred evaluations.",
+        minimum=0.0,
+        maximum=1e9,
+    )
     weights: tuple[float, ...] | None = parameter(
         None,
         "One weight for each objective, in the problem's order and the inverse of its unit: ei and "

@@ -14,7 +14,7 @@ from scipy.linalg import lapack
 from scipy.optimize import minimize
 
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
-from mobo_tuner.core.kernels import Kernel, squared_distances
+from mobo_tuner.core.kernels import Kernel, Timed, squared_distances
 from mobo_tuner.core.linear_algebra import FloatArray, cholesky, inverse_lower
 from mobo_tuner.core.posterior import RELATIVE_JITTER, Posterior
 
@@ -29,6 +29,8 @@ _EVIDENCE_STEPS = 30
 _CLEAR_NOISE = float(np.log(0.03))  # variance, as a share of that of the outputs
 _NEGLIGIBLE_NOISE = float(np.log(1e-5))  # variance, as a share of that of the outputs
 _NOISE_LEVELS = np.log([3e-4, 3e-3, 3e-2, 3e-1])  # the same, to look at first
+_LEAST_FOR_DRIFT = 8  # observations that say anything of time
+_TIME_SCALES = np.log([0.2, 1.0, 5.0])  # to look at first, in the unit of time
 
 Objective = Callable[[FloatArray], tuple[float, FloatArray]]
 
@@ -253,8 +255,8 @@ def held_parameters(
     free = np.ones(kernel.size + 2, dtype=np.bool_)
     shape = settings.held_shape(kernel)
     if shape is not None:
-        free[:-2] = False
-        held[:-2] = shape
+        free[: len(shape)] = False
+        held[: len(shape)] = shape
     if settings.variance is not None:
         free[-2] = False
         held[-2] = np.clip(np.log(settings.variance) - 2.0 * np.log(scale), -200.0, 200.0)
@@ -425,3 +427,74 @@ def noise_evidence(
         for best in (noisy_best, noiseless_best)
     ]
     return float(min(likelihood, np.clip(densities[0] - densities[1], -1.0, 1.0).sum()))
+
+
+def drift_evidence(
+    settings: GaussianProcessSettings,
+    kernel: Timed,
+    x: FloatArray,
+    z: FloatArray,
+    extra: FloatArray,
+    parameters: FloatArray,
+) -> float:
+    """Return the log evidence that a function changes with time, roughly where it is not positive.
+
+    It is the gain in the highest marginal likelihood over that of a function of the other inputs, both
+    with noise, or, if that is less, the gain in the densities of the observations under their
+    predictions from all others, of which each counts for at most one, as for `noise_evidence`. It is
+    computed in full only if some time scale is better than none without a training.
+
+    Args:
+        settings: Settings of the training.
+        kernel: Covariance function of d inputs, the last of them time.
+        x: Inputs `(n, d)`.
+        z: Standardised outputs less the prior mean `(n,)`.
+        extra: Known variances of z `(n,)`.
+        parameters: Hyperparameters `(k + 2,)` to start from, with any time scale.
+    """
+    if len(z) < _LEAST_FOR_DRIFT or not z.any():
+        return 0.0
+    rows = slice(None, None, -(-len(z) // _SUBSET))
+    x, z, extra = x[rows], z[rows], extra[rows]
+    weak, n, at = settings.prior == "weak", len(z), kernel.size - 1
+    timed = NegativeLogPosterior(kernel, x, z, extra, weak, noisy=True)
+    steady = NegativeLogPosterior(kernel.settable, x[:, :-1], z, extra, weak, noisy=True)
+    free = held_parameters(settings, kernel, 1.0)[1]
+    noises = [parameters[-1], *_NOISE_LEVELS[:3]] if free[-1] else [parameters[-1]]
+    levels = [
+        np.concatenate([parameters[:at], [scale, parameters[-2], noise]])
+        for scale in _TIME_SCALES
+        for noise in noises
+    ]
+    levels.sort(key=lambda level: timed(level)[0])
+    most = n * (min(steady(np.delete(p, at))[0] for p in levels) - timed(levels[0])[0])
+    if most <= 0.0:
+        return most
+
+    def best(
+        objective: NegativeLogPosterior, starts: list[FloatArray], moving: NDArray[np.bool_]
+    ) -> tuple[FloatArray, float]:
+        bounds = objective.bounds(settings.minimum_noise)
+        return train_lbfgs(
+            objective, np.array(starts), bounds, moving, _TOLERANCE / n, _EVIDENCE_STEPS
+        )
+
+    changing, with_time = best(timed, levels[:1], free)
+    plain = np.delete(parameters, at)
+    clear = np.append(plain[:-1], noises[-1])
+    constant, without = best(steady, [plain, clear], np.delete(free, at))
+    if n * (without - with_time) <= 0.0:
+        return n * (without - with_time)
+    densities = [
+        Posterior(
+            objective.kernel,
+            p[:-2],
+            float(np.exp(p[-2])),
+            objective.x,
+            z,
+            float(np.exp(p[-1])) + extra,
+        ).leave_one_out_log_density
+        for objective, p in ((timed, changing), (steady, constant))
+    ]
+    by_each = np.clip(densities[0] - densities[1], -1.0, 1.0).sum()
+    return float(min(n * (without - with_time), by_each))

@@ -142,6 +142,7 @@ class Told(NamedTuple):
     outputs: Mapping[str, Measured | None]
     readbacks: Values
     failed: bool | None
+    time: float | None
 
 
 def told(
@@ -151,14 +152,16 @@ def told(
     readbacks: Values,
     error_code: int,
     model_input: str,
+    stamp: float,
 ) -> Told:
     """Return the arguments for an evaluation; readbacks only if the models learn from them."""
+    time = stamp if math.isfinite(stamp) else None
     outputs = dict(diagnostics)
     failed = _failed(problem, diagnostics, error_code)
     if model_input == SETPOINT:
-        return Told(setpoint, outputs, {}, failed)
+        return Told(setpoint, outputs, {}, failed, time)
     known = {name: readbacks[name] for name in problem.variable_names if name in readbacks}
-    return Told(setpoint, outputs, known, failed)
+    return Told(setpoint, outputs, known, failed, time)
 
 
 def _failed(problem: Problem, diagnostics: Measurements, error_code: int) -> bool | None:
@@ -183,6 +186,7 @@ def told_of(record: EvaluationRecord, problem: Problem, model_input: str) -> Tol
         record.readbacks,
         record.error_code,
         model_input,
+        record.stamp,
     )
 
 

@@ -239,6 +239,7 @@ class Run:
                 answer.readbacks,
                 answer.error_code,
                 self.model_input,
+                answer.stamp,
             )
         )
         self.found = found = Findings.of(self.optimizer)
