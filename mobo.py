@@ -4,6 +4,7 @@
     python3 mobo.py run          set up, start the nodes, tune, record, report, stop the nodes
     python3 mobo.py test         set up and run the tests
     python3 mobo.py check FILE   print what a parameter file means, without starting anything
+    python3 mobo.py layout FILE  write layouts for Lichtblick, Foxglove and PlotJuggler
     python3 mobo.py list         list the runs
     python3 mobo.py show RUN     print the result of a run
     python3 mobo.py resume RUN   continue an interrupted run, or one with a larger budget
@@ -15,7 +16,7 @@
 
 With an active run, or with a tuner that is running permanently: status, watch, pause, continue, step,
 skip, stop, cancel, queue NAME=NUMBER ..., forget INDEX, unforget INDEX, set NAME=VALUE ...,
-points, go INDEX.
+points, go INDEX, live.
 
 It only needs Python 3.11, 3.12 or 3.13 on Linux and a C and C++ compiler; everything else is installed
 into `.venv` beside this file.
@@ -36,7 +37,7 @@ if not (3, 11) <= sys.version_info[:2] <= (3, 13) or sys.platform != "linux":
     )
 
 from launcher import run, steering, verbs
-from launcher.command_line import STEERING, make_parser
+from launcher.command_line import LIVE, STEERING, make_parser
 from launcher.errors import LauncherError
 from launcher.processes import Interrupted
 
@@ -44,6 +45,7 @@ ROOT = Path(__file__).resolve().parent
 VERBS = {
     "run": run.run,
     "check": verbs.check,
+    "layout": verbs.layout,
     "list": verbs.list_runs,
     "show": verbs.show,
     "resume": run.resume,
@@ -60,7 +62,7 @@ def main(arguments: list[str]) -> int:
     try:
         if arguments[:1] == ["test"]:
             return verbs.test(ROOT, arguments[1:])
-        if arguments and arguments[0] in STEERING:
+        if arguments and arguments[0] in (*STEERING, LIVE):
             steering.steer(ROOT, arguments)
         options = make_parser(__doc__ or "", ROOT, VERBS).parse_args(arguments)
         options.act(options)

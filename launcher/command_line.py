@@ -36,6 +36,8 @@ STEERING = {
     "go": "go to a point of a Pareto front",
 }
 """Verbs that concern a running tuner; a program of their own parses their arguments."""
+LIVE = "live"
+"""Verb that serves a running tuner to viewers."""
 
 Act = Callable[[argparse.Namespace], None]
 
@@ -132,8 +134,19 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
     check.add_argument("config", metavar="FILE", type=Path, help="ROS parameter file")
     _add_machine(check, "none")
 
+    layout = add("layout", "write layouts for Lichtblick, Foxglove and PlotJuggler")
+    layout.add_argument("config", metavar="FILE", type=Path, help="ROS parameter file")
+    layout.add_argument(
+        "--output",
+        metavar="FOLDER",
+        type=Path,
+        default=Path(),
+        help="folder for them (default: the current one)",
+    )
+
     for name, what in STEERING.items():
         subparsers.add_parser(name, help=what)
+    subparsers.add_parser(LIVE, help="serve the run to Lichtblick, Foxglove or PlotJuggler")
     subparsers.add_parser("test", help="set up and run the tests; arguments go to pytest")
     add("list", "list the runs")
     add("show", "print the result of a run").add_argument("run", metavar="RUN", help=RUN_HELP)

@@ -130,6 +130,15 @@ PAGE_STAGES = (
         sources=("requirements-page.txt", "requirements.txt"),
     ),
 )
+LIVE_STAGES = (
+    Stage(
+        "live",
+        "installing the live server (foxglove-sdk)",
+        "requirements",
+        (*_PIP, "-r", "requirements-live.txt"),
+        sources=("requirements-live.txt", "requirements.txt"),
+    ),
+)
 # Beside the stages of a run. No run needs torch, which is as large as all the rest.
 DEVELOPMENT_STAGES = (
     Stage(

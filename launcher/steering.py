@@ -10,14 +10,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from launcher.command_line import STEERING, Parser, add_domain_id, add_runs_dir
-from launcher.environment import clean_environment
+from launcher.command_line import LIVE, STEERING, Parser, add_domain_id, add_runs_dir
+from launcher.environment import LIVE_STAGES, STAGES, clean_environment
 from launcher.errors import RunFolderError, UsageError
 from launcher.programs import open_project
 from launcher.ros_domain import surroundings
 from launcher.run_folder import RunFolder
 
 PROGRAM = "mobo_tuner.nodes.steer"
+LIVE_SERVER = "mobo_tuner.nodes.live_server"
 # Variables of the user's environment that define how ROS programs find each other.
 DISCOVERY = (
     "ROS_DOMAIN_ID",
@@ -46,19 +47,41 @@ def steer(root: Path, arguments: Sequence[str]) -> NoReturn:
     if verb in WITH_RUN and options.run:
         others = [*others, "--run", Path(options.run).name]
     environment = {} if {"-h", "--help"} & {*others} else _find_tuner(options, verb, os.environ)
-    with open_project(root) as project:
+    live = verb == LIVE
+    with open_project(root, (*STAGES, *LIVE_STAGES) if live else STAGES) as project:
         python = str(project.environment.python)
+    words = [LIVE_SERVER, *_node_arguments(others)] if live else [PROGRAM, verb, *others]
     sys.stdout.flush()
-    os.execve(
-        python,
-        [python, "-P", "-m", PROGRAM, verb, *others],
-        clean_environment(**environment),
+    os.execve(python, [python, "-P", "-m", *words], clean_environment(**environment))
+
+
+def _node_arguments(words: Sequence[str]) -> list[str]:
+    """Return the arguments of the live server's node.
+
+    Raises:
+        UsageError: If a word is not allowed.
+    """
+    parser = Parser(
+        prog="mobo.py live",
+        description="Serve the active run to Lichtblick, Foxglove or PlotJuggler, until Ctrl-C.",
+        allow_abbrev=False,
     )
+    parser.add_argument("--port", metavar="N", type=int, default=8765, help="port (default: 8765)")
+    parser.add_argument(
+        "--steer",
+        action="store_true",
+        help="let viewers on this host pause, step, skip, stop and set parameters; so can every web page "
+        "that is open on this host then",
+    )
+    options = parser.parse_args(words)
+    read_only = str(not options.steer).lower()
+    given = (f"port:={options.port}", f"read_only:={read_only}")
+    return ["--ros-args", *(word for value in given for word in ("-p", value))]
 
 
 def _parser(root: Path, verb: str) -> argparse.ArgumentParser:
     """Return the parser of the options that define the tuner; the program parses the others."""
-    assert verb in STEERING
+    assert verb in STEERING or verb == LIVE
     parser = Parser(prog=f"mobo.py {verb}", add_help=False, allow_abbrev=False)
     add_runs_dir(parser, root)
     add_domain_id(parser, "that of the run, or ROS_DOMAIN_ID")

@@ -8,7 +8,13 @@ import sys
 import tempfile
 from pathlib import Path
 
-from launcher.environment import DEVELOPMENT_STAGES, PAGE_STAGES, STAGES, clean_environment
+from launcher.environment import (
+    DEVELOPMENT_STAGES,
+    LIVE_STAGES,
+    PAGE_STAGES,
+    STAGES,
+    clean_environment,
+)
 from launcher.errors import LauncherError, RunFolderError, UsageError
 from launcher.processes import Interrupted
 from launcher.programs import LONG, THREADS, open_project
@@ -35,13 +41,24 @@ def check(options: argparse.Namespace) -> None:
         project.ask(module, options.config, *arguments, show=True)
 
 
+def layout(options: argparse.Namespace) -> None:
+    """Write layouts for viewers, whose paths are printed.
+
+    Raises:
+        UsageError, SetupError, Interrupted, OSError
+    """
+    with open_project(options.root) as project:
+        module = "mobo_tuner.displays.layouts"
+        project.ask(module, options.config, "--output", options.output, show=True)
+
+
 def test(root: Path, arguments: list[str]) -> int:
     """Run the tests with pytest's arguments, or all of them in parallel; return pytest's status.
 
     Raises:
         SetupError, Interrupted, OSError
     """
-    with open_project(root, (*STAGES, *PAGE_STAGES, *DEVELOPMENT_STAGES)) as project:
+    with open_project(root, (*STAGES, *PAGE_STAGES, *LIVE_STAGES, *DEVELOPMENT_STAGES)) as project:
         process = project.processes.start(
             [str(project.environment.python), "-m", "pytest", *(arguments or _PARALLEL_TESTS)],
             environment=clean_environment(**THREADS, MPLBACKEND="Agg"),

@@ -22,7 +22,7 @@ from awa_sim_node.parameters import AWA_SIM
 from mobo_tuner.bridge.describe import MACHINE_BRIDGE
 from mobo_tuner.core.acquisition_optimizer import MAXIMIZERS
 from mobo_tuner.core.settings import PRESETS, OptimizerSettings
-from mobo_tuner.nodes.parameters import CONSOLE, PAGE, RECORDER
+from mobo_tuner.nodes.parameters import CONSOLE, LIVE_SERVER, PAGE, RECORDER
 from mobo_tuner.parameter_spec import ParameterSpec, ParameterValue, specs_of
 from mobo_tuner.ros.interfaces import ACTIONS, SERVICES, TOPICS, Action, Service, Topic
 from mobo_tuner.ros.qos import KEPT, LATCHED, STREAM
@@ -199,6 +199,7 @@ def parameters() -> str:
         ("recorder", RECORDER),
         ("console", CONSOLE),
         ("page", PAGE),
+        ("live_server", LIVE_SERVER),
     ):
         lines += ["", f"## Node `{node}`", "", *_table(specs)]
     return "\n".join(lines) + "\n"

@@ -6,7 +6,7 @@ from glob import glob
 from setuptools import find_packages, setup
 
 NAME = "mobo_tuner"
-EXECUTABLES = ("console", "machine_bridge", "page", "recorder", "steer", "tuner")
+EXECUTABLES = ("console", "live_server", "machine_bridge", "page", "recorder", "steer", "tuner")
 # Exactly this version of rosbags: runs/bag.py writes MCAP with parts of it that may change.
 BAGS = ["backports.zstd>=1.0", "lz4>=4.0", "rosbags==0.11.9"]
 TUNER = ["numba>=0.58", "scipy>=1.11", "threadpoolctl>=3.1", *BAGS]  # resumes from a bag, too
@@ -16,6 +16,8 @@ EXTRAS = {
     "console": ["rich>=13.7"],
     # Exactly this version of NiceGUI, which is pinned with all that it needs in requirements-page.txt.
     "page": ["nicegui==3.18.0", "fastapi>=0.115", "starlette>=0.45", "uvicorn>=0.34"],
+    # Exactly this version: the server sends a late viewer what it missed by numbers that may change.
+    "live": ["foxglove-sdk==0.30.3"],
     "export": [*TUNER, "pyarrow>=16"],
     "report": [*TUNER, "Jinja2>=3.1", "MarkupSafe>=2.1", "matplotlib>=3.6", "rich>=13.7"],
 }

@@ -13,7 +13,7 @@ import pytest
 
 from awa_sim_node.parameters import AWA_SIM
 from mobo_tuner.bridge.describe import MACHINE_BRIDGE
-from mobo_tuner.nodes.parameters import CONSOLE, PAGE, RECORDER
+from mobo_tuner.nodes.parameters import CONSOLE, LIVE_SERVER, PAGE, RECORDER
 from mobo_tuner.parameter_spec import ParameterSpec
 from mobo_tuner.tuner.parameters import TUNER
 from tests.support.paths import CONFIG
@@ -28,6 +28,7 @@ EXECUTABLES = {
     ("mobo_tuner", "steer"): (["halt"], "halt"),
     ("mobo_tuner", "console"): (["-p", "evaluations:=-1"], "evaluations is -1"),
     ("mobo_tuner", "page"): (["-p", "port:=70000"], "port is 70000"),
+    ("mobo_tuner", "live_server"): (["-p", "port:=-1"], "port is -1"),
     ("awa_sim_node", "awa_sim"): (["-p", "model:=lcls"], "model is 'lcls'"),
 }
 NODES: dict[str, tuple[str, tuple[ParameterSpec, ...]]] = {
@@ -35,6 +36,7 @@ NODES: dict[str, tuple[str, tuple[ParameterSpec, ...]]] = {
     "recorder": ("mobo_tuner.nodes.recorder", RECORDER),
     "console": ("mobo_tuner.nodes.console", CONSOLE),
     "page": ("mobo_tuner.nodes.page", PAGE),
+    "live_server": ("mobo_tuner.nodes.live_server", LIVE_SERVER),
     "machine_bridge": ("mobo_tuner.nodes.machine_bridge", MACHINE_BRIDGE),
     "awa_sim": ("awa_sim_node.node", AWA_SIM),
 }
@@ -88,6 +90,7 @@ MISSPELT = {
     "recorder": ("bag_pth:=x", "bag_path"),
     "console": ("resume_form:=x", "resume_from"),
     "page": ("red_only:=true", "read_only"),
+    "live_server": ("red_only:=true", "read_only"),
     "machine_bridge": ("maping:=x", "mapping"),
     "awa_sim": ("sped:=5.0", "speed"),
 }

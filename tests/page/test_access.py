@@ -13,8 +13,9 @@ from starlette.types import Receive, Scope, Send
 
 from launcher.page import TOKEN_VARIABLE as LAUNCHERS_VARIABLE
 from launcher.page import is_local as launcher_is_local
+from mobo_tuner.addresses import is_local
 from mobo_tuner.nodes.page import TOKEN_VARIABLE
-from mobo_tuner.page.access import Access, Guard, cookie_name, is_local
+from mobo_tuner.page.access import Access, Guard, cookie_name
 
 PORT = 8070
 TOKEN = "a-token"

@@ -21,7 +21,15 @@ from launcher.environment import clean_environment
 SOURCE = Path(__file__).resolve().parents[2] / "src"
 MOBO_TUNER = SOURCE / "mobo_tuner" / "mobo_tuner"
 EXECUTABLES = {
-    "mobo_tuner": ["console", "machine_bridge", "page", "recorder", "steer", "tuner"],
+    "mobo_tuner": [
+        "console",
+        "live_server",
+        "machine_bridge",
+        "page",
+        "recorder",
+        "steer",
+        "tuner",
+    ],
     "awa_sim_node": ["awa_sim"],
 }
 
@@ -119,6 +127,7 @@ WITHOUT_KEY = {
     "pyarrow": "pip install pyarrow",
     "torch": "awa_sim_node[training]",
     "nicegui": "pip install nicegui==3.18.0",
+    "foxglove": "pip install foxglove-sdk==0.30.3",
 }
 """How each is installed, in README.md of the package."""
 WITH_OTHERS = {  # rosbags, Jinja2 and NiceGUI require them
@@ -141,6 +150,7 @@ EXTRA_OF = {
         "nodes/bags.py": ["recorder"],
         "page": ["page"],
         "nodes/recorder.py": ["recorder"],
+        "nodes/live_server.py": ["live"],
         "warmup.py": ["tuner"],
     },
     "awa_sim_node": {
@@ -262,7 +272,7 @@ def test_the_oldest_versions_allowed_are_those_that_are_tested(
         for name, bound in required:
             if name in ("mobo_tuner", "pytest", "torch"):  # ours, a tool, unused
                 continue
-            if name in ("nicegui", "rosbags"):  # one version alone
+            if name in ("foxglove-sdk", "nicegui", "rosbags"):  # one version alone
                 continue
             assert bound.startswith(">="), f"setup.py of {package} has no lower bound of {name}"
             if name in tested:
@@ -299,7 +309,17 @@ sys.meta_path.insert(0, Absent())
 
 OPTIONAL = {
     *("numba", "scipy", "threadpoolctl", "torch", "matplotlib", "jinja2", "markupsafe", "pyarrow"),
-    *("rosbags", "lz4", "backports", "rich", "nicegui", "fastapi", "starlette", "uvicorn"),
+    *(
+        "rosbags",
+        "lz4",
+        "backports",
+        "rich",
+        "nicegui",
+        "fastapi",
+        "starlette",
+        "uvicorn",
+        "foxglove",
+    ),
 }
 OPTIMISER = {"mobo_tuner.core", "mobo_tuner.runs", "mobo_tuner.tuner"}
 

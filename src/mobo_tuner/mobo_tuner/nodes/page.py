@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from rclpy.executors import Executor
 from rclpy.node import Node
 
+from mobo_tuner.addresses import address
 from mobo_tuner.client import TunerClient
 from mobo_tuner.nodes.parameters import PAGE
 from mobo_tuner.ros.parameters import declare, refuse_undeclared, take_given
@@ -54,7 +55,7 @@ class Page:
             from mobo_tuner.page.access import Access
             from mobo_tuner.page.feed import Feed
             from mobo_tuner.page.history import History
-            from mobo_tuner.page.server import PageServer, address, listen
+            from mobo_tuner.page.server import PageServer, listen
         except ModuleNotFoundError as error:
             raise StartError(
                 f"{error.name} is not installed; the page needs: pip install 'mobo_tuner[page]'"
@@ -74,7 +75,8 @@ class Page:
             access,
             listener,
         )
-        print(f"page: {address(listener, host, access.token)}", flush=True)
+        query = f"?token={access.token}" if access.token else ""
+        print(f"page: {address('http', host, listener.getsockname()[1])}/{query}", flush=True)
         return server
 
     @property

@@ -1,4 +1,4 @@
-"""Parameters of the recorder, the console and the page."""
+"""Parameters of the recorder, the console, the page and the live server."""
 
 from mobo_tuner.parameter_spec import ParameterSpec
 
@@ -48,4 +48,15 @@ PAGE = (
     ParameterSpec("port", 8070, "Port to listen on; 0 = any free one.", minimum=0, maximum=65535),
     ParameterSpec("read_only", False, "Whether nobody may act."),
     ParameterSpec("runs_dir", "", "Folder of the runs that the page lists; empty = none."),
+)
+
+LIVE_SERVER = (
+    ParameterSpec("host", "127.0.0.1", "Address to listen on."),
+    ParameterSpec("port", 8765, "Port to listen on; 0 = any free one.", minimum=0, maximum=65535),
+    ParameterSpec(
+        "read_only",
+        True,
+        "Whether viewers may only look. The protocol has no password, and every site that a browser of this "
+        "host visits can reach the server, too; false is allowed on this host's own addresses alone.",
+    ),
 )

@@ -7,33 +7,29 @@ topics of the nodes contain the whole run, with one `Evaluation` per evaluation.
 from __future__ import annotations
 
 import contextlib
-import importlib
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 from rclpy.duration import Duration
 from rclpy.executors import Executor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 from rclpy.timer import Timer
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Header
 
 from mobo_msgs_py.msg import RecorderStatus
 from mobo_tuner.nodes.bags import Bag, open_bag
 from mobo_tuner.nodes.parameters import RECORDER
+from mobo_tuner.nodes.topic_discovery import FoundTopic, TopicDiscovery
 from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from mobo_tuner.ros.parameters import declare, refuse_undeclared, take_given
 from mobo_tuner.ros.process import Program, StartError, exit_process, run_node
 from mobo_tuner.ros.waiting import STEADY_CLOCK
-from mobo_tuner.runs.definitions import Definition, DefinitionError, find_definition
 
-QUEUE_DEPTH = 1000  # messages of a topic that may wait to be recorded
 FLUSH_PERIOD = 0.25  # [s] of messages that are lost at most if the process is killed
 STATUS_PERIOD = 1.0  # [s]
 SCARCE_SPACE = 1e9  # [bytes] left on the disk below which a person is warned
@@ -65,7 +61,7 @@ class Recorder:
         self._failure = ""
         self._last_timestamp = 0
         self._topics: set[str] = set()
-        self._refused: dict[str, str] = {}  # why, by topic
+        self._discovery = TopicDiscovery(self._node)
         self._publisher = interfaces.RECORDER_STATUS.publisher(self._node)
         self._every(float(parameters["discovery_period"]), self._discover)
         self._every(FLUSH_PERIOD, self._flush)
@@ -93,7 +89,7 @@ class Recorder:
             "path": self._bag.path.absolute(),
             "messages": self._bag.message_count,
             "topics": len(self._topics),
-            "topics not recorded": ", ".join(self._refused) or "none",
+            "topics not recorded": ", ".join(self._discovery.refused) or "none",
         }
         with contextlib.suppress(OSError):
             free = shutil.disk_usage(self._bag.path).free
@@ -102,8 +98,8 @@ class Recorder:
                 return Health(WARN, f"the disk has only {free / 1e9:.1f} GB left", values)
         if not self._recording:
             return Health(ERROR, self._failure, values)
-        if self._refused:
-            topic, reason = next(iter(self._refused.items()))
+        if self._discovery.refused:
+            topic, reason = next(iter(self._discovery.refused.items()))
             return Health(WARN, f"the topic {topic} is not recorded: {reason}", values)
         return Health(OK, f"{len(self._topics)} topics are recorded", values)
 
@@ -124,46 +120,25 @@ class Recorder:
         """Subscribe to topics that have a publisher."""
         if not self._recording:
             return
-        before = len(self._topics)
-        for topic, type_names in self._node.get_topic_names_and_types():
-            if any(part.startswith("_") for part in topic.split("/")):
-                continue
-            if topic in self._topics or topic in self._refused:
-                continue
-            publishers = self._node.get_publishers_info_by_topic(topic)
-            if publishers and len(type_names) == 1:
-                self._record(topic, type_names[0], publishers)
-            elif publishers:
-                self._refuse(topic, f"it has several types: {', '.join(type_names)}")
+        before, refused = len(self._topics), {*self._discovery.refused}
+        for topic in self._discovery.new_topics():
+            self._record(topic)
+        for name, reason in self._discovery.refused.items():
+            if name not in refused:
+                self._node.get_logger().warning(f"the topic {name} is not recorded: {reason}")
         if len(self._topics) != before:
             self._publish_status()
 
-    def _record(self, topic: str, type_name: str, publishers: Sequence[TopicEndpointInfo]) -> None:
+    def _record(self, topic: FoundTopic) -> None:
         try:
-            definition = find_definition(type_name)
-            _check_hashes(definition, publishers)
-            message_class = _message_class(type_name)
-        except DefinitionError as error:
-            self._refuse(topic, str(error))
-            return
-        offers = [publisher.qos_profile for publisher in publishers]
-        try:
-            recorded = self._bag.add_topic(topic, type_name, definition, offers)
+            recorded = self._bag.add_topic(
+                topic.name, topic.type_name, topic.definition, topic.offers
+            )
         except OSError as error:
             self._fail(error)
             return
-        self._node.create_subscription(
-            message_class,
-            topic,
-            partial(self._write, recorded),
-            _matching_qos(publishers),
-            raw=True,
-        )
-        self._topics.add(topic)
-
-    def _refuse(self, topic: str, reason: str) -> None:
-        self._refused[topic] = reason
-        self._node.get_logger().warning(f"the topic {topic} is not recorded: {reason}")
+        topic.subscribe(self._node, partial(self._write, recorded))
+        self._topics.add(topic.name)
 
     def _write(self, topic: Any, data: bytes, info: dict[str, int]) -> None:
         if not self._recording:
@@ -252,43 +227,6 @@ def _open_bag(path: str) -> Bag:
         raise StartError(f"the bag '{path}' exists already") from None
     except OSError as error:
         raise StartError(f"the bag '{path}' cannot be written: {error.strerror or error}") from None
-
-
-def _message_class(type_name: str) -> type[Any]:
-    package, _, name = type_name.split("/")
-    try:
-        message_class: type[Any] = getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError):
-        raise DefinitionError(f"the Python type of {type_name} is not installed") from None
-    return message_class
-
-
-def _check_hashes(definition: Definition, publishers: Sequence[TopicEndpointInfo]) -> None:
-    """Check that the publishers use this definition, because the bag stores it.
-
-    Raises:
-        DefinitionError: If one does not.
-    """
-    for publisher in publishers:
-        type_hash = publisher.topic_type_hash
-        if type_hash.version > 0 and str(type_hash) != definition.type_hash:
-            raise DefinitionError(
-                f"{publisher.node_name} publishes another version of {publisher.topic_type} than "
-                "is installed here"
-            )
-
-
-def _matching_qos(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
-    """Return the strictest profile that all publishers satisfy."""
-    offers = [publisher.qos_profile for publisher in publishers]
-    reliable = all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
-    latched = all(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=QUEUE_DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-    )
 
 
 def main() -> None:

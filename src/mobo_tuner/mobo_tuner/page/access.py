@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hmac
-import ipaddress
 import secrets
 from collections.abc import Mapping
 from http.cookies import CookieError, SimpleCookie
@@ -12,6 +11,8 @@ from urllib.parse import parse_qs, urlsplit
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from mobo_tuner.addresses import is_local
 
 LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
 POLICY = "; ".join(
@@ -153,16 +154,6 @@ class Guard:
 def cookie_name(port: int) -> str:
     """Return the name of the cookie of the page on a port."""
     return f"mobo_page_{port}"
-
-
-def is_local(host: str) -> bool:
-    """Return whether an address is that of this host alone."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def _name_of(address: str) -> str:

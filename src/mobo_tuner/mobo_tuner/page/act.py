@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
 from typing import Any
 
 from nicegui import ui
 
 from mobo_tuner.client import Point
-from mobo_tuner.core.problem import Problem, Variable
+from mobo_tuner.core.problem import Variable
+from mobo_tuner.displays.settings import labelled, setting_value, settings_of
 from mobo_tuner.page.board import RunBoard
 from mobo_tuner.page.commands import Answer, Commands
 from mobo_tuner.page.viewer import Table, Viewer, card
-from mobo_tuner.page.words import labelled, number, quantity
+from mobo_tuner.page.words import number, quantity
 
 Request = Callable[[], Awaitable[Answer]]
 
@@ -243,15 +243,6 @@ class QueueDialog:
         _conclude(answer, self._refusal, self._dialog, self._viewer)
 
 
-@dataclass(frozen=True)
-class _Setting:
-    """A parameter that can be changed while a run is active."""
-
-    name: str
-    label: str
-    value: float
-
-
 class ChangeDialog:
     """Bounds, limits, references and the budget, old and new side by side; all change, or none."""
 
@@ -281,7 +272,7 @@ class ChangeDialog:
         self._fields.clear()
         self._refusal.set_text("")
         with self._body:
-            for setting in _settings(run.problem, board.status.budget):
+            for setting in settings_of(run.problem, board.status.budget):
                 with ui.element("div").classes("setting"):
                     ui.label(setting.label).classes("name")
                     ui.label(f"now {number(setting.value, 6)}").classes("old")
@@ -295,32 +286,9 @@ class ChangeDialog:
         if not given:
             self._refusal.set_text("nothing is filled in")
             return
-        values: dict[str, Any] = {
-            name: int(value) if name == "evaluations" else float(value)
-            for name, value in given.items()
-        }
+        values: dict[str, Any] = {name: setting_value(name, value) for name, value in given.items()}
         answer = await self._commands.set(values)
         _conclude(answer, self._refusal, self._dialog, self._viewer)
-
-
-def _settings(problem: Problem, budget: int) -> list[_Setting]:
-    """Return what can be changed, with its value of now."""
-    settings = [_Setting("evaluations", "budget of evaluations", budget)]
-    for v in problem.variables:
-        name = labelled(v.name, v.unit)
-        settings.append(_Setting(f"variables.{v.name}.min", f"{name}, lower bound", v.minimum))
-        settings.append(_Setting(f"variables.{v.name}.max", f"{name}, upper bound", v.maximum))
-    for o in problem.objectives:
-        name = labelled(o.name, o.unit)
-        settings.append(
-            _Setting(f"objectives.{o.name}.reference", f"{name}, reference", o.reference)
-        )
-    for c in problem.constraints:
-        for leaf, limit, word in (("min", c.minimum, "least"), ("max", c.maximum, "greatest")):
-            if math.isfinite(limit):
-                text = f"{labelled(c.name, c.unit)}, {word} feasible value"
-                settings.append(_Setting(f"constraints.{c.name}.{leaf}", text, limit))
-    return settings
 
 
 def _chosen(run: RunBoard | None, index: int | None) -> Point | None:

@@ -13,8 +13,9 @@ from typing import Any
 
 from mobo_tuner.client import Evaluation, Point
 from mobo_tuner.core.problem import Objective, Problem, Variable
+from mobo_tuner.displays.settings import labelled
 from mobo_tuner.page.board import RunBoard
-from mobo_tuner.page.words import labelled, measured, number, quantity
+from mobo_tuner.page.words import measured, number, quantity
 
 MAX_POINTS = 600  # of a series; more are thinned out
 FONT = "Roboto, sans-serif"

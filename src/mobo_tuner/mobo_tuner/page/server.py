@@ -185,12 +185,3 @@ def _inherited() -> socket.socket | None:
         pass
     candidate.close()
     return None
-
-
-def address(listener: socket.socket, host: str, token: str) -> str:
-    """Return the address for a browser."""
-    if host in ("0.0.0.0", "::", ""):
-        host = socket.gethostname()
-    shown = f"[{host}]" if ":" in host else host
-    query = f"?token={token}" if token else ""
-    return f"http://{shown}:{listener.getsockname()[1]}/{query}"

@@ -9,11 +9,12 @@ from collections.abc import Callable
 from nicegui import ui
 
 from mobo_tuner.core.problem import Constraint, Problem
+from mobo_tuner.displays.settings import labelled
 from mobo_tuner.page import charts
 from mobo_tuner.page.board import RunBoard
 from mobo_tuner.page.found import EMPTY, show
 from mobo_tuner.page.viewer import Table, Viewer
-from mobo_tuner.page.words import labelled, number, quantity
+from mobo_tuner.page.words import number, quantity
 
 Plot = Callable[[RunBoard], charts.Options]
 

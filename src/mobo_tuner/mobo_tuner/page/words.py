@@ -102,11 +102,6 @@ def measured(value: float, stddev: float, unit: str = "") -> str:
     return f"{number(value, 4)}{spread} {unit}".rstrip()
 
 
-def labelled(name: str, unit: str) -> str:
-    """Return the name of a quantity with its unit in brackets."""
-    return f"{name} [{unit}]" if unit else name
-
-
 def duration(seconds: float) -> str:
     """Return a time in hours, minutes and seconds."""
     if not math.isfinite(seconds):
