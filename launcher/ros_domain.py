@@ -43,7 +43,7 @@ class RosDomain:
         Raises:
             DomainError: If it is reserved by another run, or all are.
         """
-        self._range = "SUBNET" if network else "LOCALHOST"
+        self._network = network
         if domain_id is not None:
             descriptor = _lock(domain_id)
             if descriptor is None:
@@ -78,19 +78,19 @@ class RosDomain:
     @property
     def environment(self) -> dict[str, str]:
         """Environment variables of all programs in this domain."""
-        return surroundings(self.id, self._range)
+        return surroundings(self.id, self._network)
 
 
-def surroundings(domain_id: int, reach: str = "LOCALHOST") -> dict[str, str]:
+def surroundings(domain_id: int, network: bool = False) -> dict[str, str]:
     """Return the environment variables of the programs in a domain.
 
     Args:
         domain_id: Id of the domain.
-        reach: Discovery range, as in `ROS_AUTOMATIC_DISCOVERY_RANGE`.
+        network: Whether programs on other hosts may take part.
     """
     return {
         "ROS_DOMAIN_ID": str(domain_id),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": reach,
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET" if network else "LOCALHOST",
         # Shared memory of a killed process remains and can block later processes.
         "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
         "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE),

@@ -274,6 +274,7 @@ def _carry_out(
         "pid": os.getpid(),
         "pid_started": process_start(os.getpid()),
         "domain_id": domain.id,
+        "network": options.network,
         "machine": checked.machine.facts,
         "arguments": {
             "config": str(checked.source),

@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 from launcher.command_line import LIVE, STEERING, Parser, add_domain_id, add_runs_dir
 from launcher.environment import LIVE_STAGES, STAGES, clean_environment
@@ -105,40 +105,50 @@ def _find_tuner(
         return {**own, "ROS_DOMAIN_ID": str(options.domain_id)}
     if options.run:
         try:
-            domain = _domain_of(RunFolder.find(options.run, options.runs_dir))
+            place = _place_of(RunFolder.find(options.run, options.runs_dir))
         except RunFolderError:
             if verb not in WITH_RUN:  # the tuner may know it
                 raise
-            domain = None
-        if domain is not None:
-            return surroundings(domain)
+            place = None
+        if place is not None:
+            return surroundings(*place)
         if verb not in WITH_RUN:
             raise UsageError(f"the run '{options.run}' is not active")
     running = {}
     for folder in RunFolder.all(options.runs_dir):
         with contextlib.suppress(RunFolderError):  # one that cannot be read hides no other
-            running[folder.run_id] = _domain_of(folder)
-    running = {name: domain for name, domain in running.items() if domain is not None}
+            place = _place_of(folder)
+            if place is not None:
+                running[folder.run_id] = place
     given = own.get("ROS_DOMAIN_ID", "")
-    domains = {*map(str, running.values())} | ({given} if given else set())
+    domains = {str(place.domain_id) for place in running.values()} | ({given} if given else set())
     if not domains:
         raise UsageError(
             f"no run is active in '{options.runs_dir}', and ROS_DOMAIN_ID is not set: "
             "give --domain-id"
         )
     if len(domains) > 1:
-        found = [f"run '{name}' in ROS domain {number}" for name, number in running.items()]
+        found = [f"run '{name}' in ROS domain {place.domain_id}" for name, place in running.items()]
         found += [f"ROS_DOMAIN_ID is {given}"] if given else []
         raise UsageError(f"several tuners are possible ({', '.join(found)}): give --domain-id")
-    return own if given else surroundings(int(domains.pop()))
+    return surroundings(*next(iter(running.values()))) if running else own
 
 
-def _domain_of(folder: RunFolder) -> int | None:
-    """Return the ROS domain of an active run; None if the run is not active.
+class Place(NamedTuple):
+    """Where an active run is found: its ROS domain, and whether other hosts take part."""
+
+    domain_id: int
+    network: bool
+
+
+def _place_of(folder: RunFolder) -> Place | None:
+    """Return where an active run is found; None if the run is not active.
 
     Raises:
         RunFolderError: If the folder cannot be read.
     """
     facts = folder.facts()
     domain = facts.get("domain_id")
-    return domain if facts.get("state") == "running" and isinstance(domain, int) else None
+    if facts.get("state") != "running" or not isinstance(domain, int):
+        return None
+    return Place(domain, facts.get("network") is True)

@@ -37,6 +37,7 @@ from mobo_tuner.runs.journal import JournalError, JsonRecord, read_journal
 from mobo_tuner.runs.optimizer_settings import make_optimizer
 from robustness.chaos_scene import CLIENT_TIMEOUT, ROOT, TIMEOUT, HangError, Scene
 from robustness.integrity import bag_faults, differing_suggestions, evaluations, has_journal
+from robustness.processes import end_with_parent
 
 TARGETS = {"tuner": 0.35, "machine": 0.15, "bridge": 0.2, "recorder": 0.15, "entry script": 0.15}
 POLICIES = ("hold", "restore", "best")
@@ -94,6 +95,7 @@ class Chaos:
         self._folder = folder
         self._seed = seed
         self._scenes: dict[bool, Scene] = {}
+        self._script: subprocess.Popen[bytes] | None = None
         self._durations = {"machine": 3.0, "bridge": 8.0, "entry script": 12.0}  # [s] of a run
 
     def __enter__(self) -> Chaos:
@@ -102,6 +104,13 @@ class Chaos:
     def __exit__(self, *error: object) -> None:
         for scene in self._scenes.values():
             scene.__exit__(None, None, None)
+
+    def abandon(self) -> None:
+        """Kill everything that was started, from any thread."""
+        for scene in list(self._scenes.values()):
+            scene.abandon()
+        if self._script is not None:
+            self._script.kill()
 
     def kill(self, number: int) -> Outcome:
         """Carry out one kill and return its result.
@@ -265,7 +274,9 @@ class Chaos:
         config = ("--config", str(ROOT / "config" / "toy.yaml"))
         budget = ("--evaluations", str(BUDGET), "--speed", f"{speed:.3g}")
         started = time.monotonic()
-        process = _mobo("run", *config, *budget, "--runs-dir", str(place), "--run-id", run_id)
+        process = self._script = _mobo(
+            "run", *config, *budget, "--runs-dir", str(place), "--run-id", run_id
+        )
         try:
             process.wait(share * self._durations["entry script"])
             self._durations["entry script"] = time.monotonic() - started
@@ -293,7 +304,7 @@ class Chaos:
         if (folder / "bag").exists():
             outcome.corrupt += bag_faults(folder / "bag", folder.parent, [folder.name])
         words = ("resume", folder.name, "--runs-dir", str(folder.parent))
-        process = _mobo(*words, "--evaluations", str(BUDGET + 2))
+        process = self._script = _mobo(*words, "--evaluations", str(BUDGET + 2))
         try:
             _, said = process.communicate(timeout=TIMEOUT)
         except subprocess.TimeoutExpired:
@@ -406,6 +417,7 @@ def make_kills(numbers: Sequence[int], seed: int, worker: int, end: float) -> No
     """
     folder = cached(f"chaos-{seed}") / f"worker-{worker}"
     with Chaos(folder, seed) as chaos, _results(seed).open("a", encoding="utf-8") as file:
+        end_with_parent(chaos.abandon)
         for number in numbers:
             if time.time() > end:
                 return

@@ -344,6 +344,11 @@ class Scene:
             path.stem for path in self.folder.glob("*.log") if b"Traceback" in path.read_bytes()
         ]
 
+    def abandon(self) -> None:
+        """Kill every node, from any thread."""
+        for process in list(self._processes.values()):
+            process.kill()
+
     def _alive(self, name: str) -> bool:
         return name in self._processes and self._processes[name].running
 

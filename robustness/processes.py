@@ -9,9 +9,30 @@ import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from multiprocessing import parent_process
 from pathlib import Path
+from threading import Thread
 
 TIMEOUT = 20.0  # [s] for a process to end by itself
+
+
+def end_with_parent(clean_up: Callable[[], None]) -> None:
+    """Let this process of a pool end as soon as its parent has ended, even if that was killed.
+
+    Args:
+        clean_up: Function that is called first, in a thread of its own.
+    """
+    parent = parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        parent.join()
+        try:
+            clean_up()
+        finally:
+            os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
 
 
 @dataclass

@@ -22,10 +22,10 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[FakePro
     project.close()
 
 
-def begin(project: FakeProject, run_id: str) -> str:
+def begin(project: FakeProject, run_id: str, *options: str) -> str:
     """Start a run that waits; return its ROS domain."""
     before = project.events.count("console ready")
-    project.start("run", "--run-id", run_id, console="wait")
+    project.start("run", "--run-id", run_id, *options, console="wait")
     wait_until(lambda: project.events.count("console ready") > before, "the run")
     facts = json.loads((project.root / "runs" / run_id / "run.json").read_text())
     return str(facts["domain_id"])
@@ -75,8 +75,11 @@ def test_which_of_several_tuners_is_meant_must_be_said(
     assert json.loads(project.run("cancel")[1])[1] == domain
     monkeypatch.delenv("ROS_DOMAIN_ID")
 
-    begin(project, "two")
+    other = begin(project, "two", "--network")
     status, _, errors = project.run("cancel")
     assert status == 2
     assert "'one'" in errors
     assert "'two'" in errors
+    # A verb looks for a run where the run is: on this host alone, or also on others.
+    assert json.loads(project.run("watch", "--run", "two")[1]) == [["watch"], other, "SUBNET"]
+    assert json.loads(project.run("watch", "--run", "one")[1]) == [["watch"], domain, "LOCALHOST"]

@@ -57,6 +57,7 @@ class Watched:
 
     def __init__(self, node: Node, spin_until: SpinUntil) -> None:
         self.machine = toy_machine(node)
+        self.node = node
         self.spin_until = spin_until
         self.statuses = Listener(node, TunerStatus, "status", LATCHED)
         self._recorder = node.create_publisher(RecorderStatus, "recorder_status", LATCHED)
@@ -74,6 +75,8 @@ class Watched:
 
     def _publish(self) -> None:
         if self._recorded.path:
+            # The tuner waits a moment for a recorder that has not taken up its topics.
+            self._recorded.topics = [name for name, _ in self.node.get_topic_names_and_types()]
             self._recorder.publish(self._recorded)
 
     def wait_for(self, condition: Callable[[TunerStatus], bool], what: str) -> TunerStatus:

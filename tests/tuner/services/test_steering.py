@@ -136,6 +136,27 @@ def test_a_paused_run_is_canceled_or_stopped_at_once(
     result = desk.client.wait()
     assert (result.error_code, result.stop_reason, result.evaluations) == (0, "stopped", 1)
 
+    # What is asked for during the last evaluation is refused, or extends the run; nothing is lost.
+    desk.machine.goals.clear()
+    desk.start(run_id="three", evaluations=1)
+    for name in ("pause", "step"):
+        refused = desk.services.trigger(name)
+        assert not refused.success
+        assert "evaluation 0 is the last one" in refused.message
+    assert "evaluation 0 is the last one" in desk.queue(x1=0.0, x2=0.0).message
+    assert desk.services.set(evaluations=2).successful
+    assert desk.queue(x1=0.25, x2=0.5).success
+    assert desk.ask("pause") == "the run pauses before evaluation 1"
+    desk.machine.held = False
+    desk.until_paused(1)
+    desk.ask("step")
+    result = desk.client.wait()
+    assert (result.stop_reason, result.evaluations) == ("budget", 2)
+    assert {s.name: s.value for s in desk.machine.goals[-1].setpoint} == {"x1": 0.25, "x2": 0.5}
+    desk.spin_until(
+        lambda: "ended before a pause" in desk.statuses.messages[-1].message, "what was not done"
+    )
+
 
 def test_skip_ends_the_evaluation_in_flight_and_no_other(
     start_tuner: Callable[..., NodeProcess], desk: Desk, tmp_path: Path

@@ -72,15 +72,10 @@ class ActionsPanel:
         async def act() -> None:
             await self._ask(request)
 
-        return (
-            ui.button(text, icon=icon, on_click=act, color=None)
-            .props("no-caps unelevated")
-            .classes("act")
-        )
+        return _heard(ui.button(text, icon=icon, on_click=act, color=None))
 
     def _dialog(self, text: str, icon: str, open_dialog: Callable[[], None]) -> ui.button:
-        button = ui.button(text, icon=icon, on_click=open_dialog, color=None)
-        return button.props("no-caps unelevated").classes("act")
+        return _heard(ui.button(text, icon=icon, on_click=open_dialog, color=None))
 
     def _open_stop(self) -> None:
         self._stop_dialog.open()
@@ -100,6 +95,15 @@ class ActionsPanel:
     def _say(self, answer: Answer) -> None:
         self._answer.set_text(answer.sentence)
         self._answer.classes(replace=f"answer {'agreed' if answer.agreed else 'refused'}")
+
+
+def _heard(button: ui.button) -> ui.button:
+    """Return a button of the panel whose presses are never dropped.
+
+    It may be hidden or disabled while a press is on its way: then the tuner says why it came too late.
+    """
+    button.ignores_events_when_hidden = button.ignores_events_when_disabled = False
+    return button.props("no-caps unelevated").classes("act")
 
 
 class _Confirm:
@@ -222,6 +226,7 @@ class QueueDialog:
         """Show the fields, filled with the chosen point or with where the machine is."""
         board, run = self._viewer.board, self._viewer.board.run
         if run is None or run.problem is None:
+            self._viewer.say(Answer(False, "no run is known yet"))
             return
         point = _chosen(run, self._viewer.chosen)
         values = board.here if point is None else point.setpoint
@@ -267,6 +272,7 @@ class ChangeDialog:
         """Show the values of now."""
         board, run = self._viewer.board, self._viewer.board.run
         if run is None or run.problem is None:
+            self._viewer.say(Answer(False, "no run is known yet"))
             return
         self._body.clear()
         self._fields.clear()

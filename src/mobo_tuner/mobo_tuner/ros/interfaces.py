@@ -13,6 +13,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.client import Client
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
@@ -93,15 +94,19 @@ class Service:
     node: str
     purpose: str
 
-    def server(self, node: Node, callback: Callable[[Any, Any], Any]) -> RclpyService:
+    def server(
+        self, node: Node, callback: Callable[[Any, Any], Any], *, waits: bool = False
+    ) -> RclpyService:
         """Create a server.
 
         Args:
             node: Node that serves.
             callback: Function or coroutine function that takes a request and an empty response, and
                 returns the response.
+            waits: Whether the callback waits for what other callbacks of the node do.
         """
-        return node.create_service(self.kind, self.name, callback)
+        group = ReentrantCallbackGroup() if waits else None
+        return node.create_service(self.kind, self.name, callback, callback_group=group)
 
     def client(self, node: Node) -> Client:
         """Create a client.

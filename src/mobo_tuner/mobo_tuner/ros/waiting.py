@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.task import Future
 
 STEADY_CLOCK = Clock(clock_type=ClockType.STEADY_TIME)
@@ -51,3 +52,22 @@ async def until(
             return False
         await first_of(node, *futures, timeout=period)
     return True
+
+
+def unmatched_topics(node: Node) -> list[str]:
+    """Return the topics of a node that would lose a message now.
+
+    The graph shows a subscriber of each that the publisher has not been matched with yet. One with an
+    incompatible quality of service never is, and does not count.
+    """
+    return [
+        publisher.topic
+        for publisher in node.publishers
+        if publisher.get_subscription_count() < node.count_subscribers(publisher.topic)
+        and publisher.get_subscription_count()
+        < sum(
+            qos_check_compatible(publisher.qos_profile, subscriber.qos_profile)[0]
+            != QoSCompatibility.ERROR
+            for subscriber in node.get_subscriptions_info_by_topic(publisher.topic)
+        )
+    ]

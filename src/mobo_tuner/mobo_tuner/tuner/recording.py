@@ -14,7 +14,7 @@ from rclpy.task import Future
 
 from mobo_msgs_py.msg import RecorderStatus, TunerStatus
 from mobo_tuner.ros import interfaces
-from mobo_tuner.ros.waiting import STEADY_CLOCK, first_of
+from mobo_tuner.ros.waiting import STEADY_CLOCK, first_of, unmatched_topics, until
 from mobo_tuner.tuner.context import TunerContext
 from mobo_tuner.tuner.run.run import Run
 from mobo_tuner.tuner.session import Session
@@ -23,6 +23,7 @@ PERIOD = 1.0  # [s] between two looks
 SILENCE = 5.0  # [s] without a status after which a recorder counts as lost
 SCARCE_SPACE = 1e9  # [byte] left on the disk below which operators are warned
 JOURNAL_PATIENCE = 300.0  # [s] for which a run waits until its journal can be written
+MATCH_TIMEOUT = 2.0  # [s] for subscribers to be connected before a run begins
 RETRY_PERIOD = 2.0  # [s] between two attempts to write the journal
 PAUSE = "pause"
 _HINTS = "recording"  # who gives these hints
@@ -97,6 +98,25 @@ class Recording:
         if self._recorders.lost:
             self._heard.clear()
         self._judge()
+
+    async def await_subscribers(self, *interrupts: Future) -> None:
+        """Wait a moment until all that subscribe to the tuner would receive what a run publishes.
+
+        On a busy computer a recorder may have taken up topics that its subscriptions do not reach yet.
+        """
+        node = self._context.node
+        own = {publisher.topic for publisher in node.publishers}
+
+        def ready() -> bool:
+            alive = [
+                heard.status
+                for heard in self._heard.values()
+                if heard.status.recording and time.monotonic() - heard.time <= SILENCE
+            ]
+            taken_up = all(own <= {*status.topics} for status in alive)
+            return taken_up and not unmatched_topics(node)
+
+        await until(node, ready, *interrupts, timeout=MATCH_TIMEOUT)
 
     async def await_journal(self, run: Run) -> None:
         """Wait until the journal has what is known of a run, or the run must end.

@@ -137,7 +137,7 @@ class Attempts:
         Raises:
             RunError: If the machine was lost for too long, or refuses the evaluation.
         """
-        run.evaluating = True
+        run.evaluating, run.begun = True, run.index + 1
         try:
             return await self._evaluate(run, setpoint)
         finally:

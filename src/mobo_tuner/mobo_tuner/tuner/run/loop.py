@@ -31,6 +31,12 @@ TIME_PERIOD = 1.0  # [s] between two looks at the time of a run
 ACKNOWLEDGE_TIMEOUT = 2.0  # [s] for the subscribers to receive a chunk
 _AT_ONCE = Duration(nanoseconds=1)
 _CODES = Tune.Result
+_BY_ITSELF = (
+    StopReason.BUDGET,
+    StopReason.HYPERVOLUME_GOAL,
+    StopReason.STAGNATION,
+    StopReason.LITTLE_EXPECTED,
+)
 
 Listener = Callable[[EvaluationRecord, msg.Evaluation], None]
 
@@ -69,17 +75,17 @@ class RunLoop:
         """
         context = self._context
         try:
-            with (
-                self._session.running(run),
-                context.topics.heartbeat.of(run.run_id),
-                self._watching_time(run),
-            ):
-                ending, done = await self._leave(run, await self._tune(run, listener))
-                ending = end_run(context, run, ending)
-                context.topics.front(run.front_message(context.now()))
-                context.status.set(
-                    publish=False, message=ending.error_msg or done, stop_reason=ending.stop_reason
-                )
+            with self._session.running(run), self._watching_time(run):
+                await self._recording.await_subscribers(run.interrupt)
+                with context.topics.heartbeat.of(run.run_id):
+                    ending, done = await self._leave(run, await self._tune(run, listener))
+                    ending = end_run(context, run, ending)
+                    context.topics.front(run.front_message(context.now()))
+                    context.status.set(
+                        publish=False,
+                        message=ending.error_msg or done,
+                        stop_reason=ending.stop_reason,
+                    )
         finally:
             context.status.work(msg.TunerStatus.IDLE)
         context.log.info(
@@ -91,8 +97,11 @@ class RunLoop:
     async def _tune(self, run: Run, listener: Listener) -> Ending:
         """Make evaluations until the run is done, interrupted or must end; return how it ended."""
         try:
-            await self._begin(run)
-            await self._repeat(run, listener)
+            try:
+                await self._begin(run)
+                await self._repeat(run, listener)
+            finally:
+                run.steering.end()
             await self._withdraw(run)
         except Exception as error:
             code = error.code if isinstance(error, RunError) else _CODES.INTERNAL
@@ -126,6 +135,11 @@ class RunLoop:
                 ending = ending._replace(error_msg=f"{ending.error_msg}; {done}")
         if done:
             self._context.log.info(f"run '{run.run_id}': {done}")
+        undone = run.steering.undone(stopped=ending.stop_reason not in _BY_ITSELF)
+        if undone:
+            text = f"the run ended before {undone}"
+            self._context.log.warning(f"run '{run.run_id}': {text}")
+            done = f"{done}; {text}" if done else text
         return ending, done
 
     @contextmanager
@@ -169,13 +183,18 @@ class RunLoop:
             await self._recording.await_journal(run)
             if run.problem is not problem:  # its reference point was inferred
                 self._publish_all(run)
-            run.steering.forget_skip()
+            run.steering.forget_skip(record.error_code == EvaluateSetpoint.Result.CANCELED)
             if not run.finished:  # computed while the evaluation is reported
                 suggestion = self._suggest(run)
             # Saved after the suggestion, while the machine works: nobody waits for it.
             worker.submit(run.save)
             self._report(run, record, listener)
             self._judge(run, record)
+            if run.finished:
+                while run.finished and run.steering.changes:  # asked for during the last evaluation
+                    await self._apply_change(run)
+                if not run.finished:
+                    suggestion = self._suggest(run)
 
     # ------------------------------------------------------------------ the start
 

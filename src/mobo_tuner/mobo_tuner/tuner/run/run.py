@@ -121,6 +121,7 @@ class Run:
         state_before: Readbacks before the run; None if no fallback needs them.
         by_client: Whether a client asks and tells by itself.
         changeable: Whether its problem and budget may be changed.
+        begun: Number of evaluations that have begun.
         evaluating: Whether an evaluation is in flight, also while it waits for its next attempt.
         obstructed: Whether that evaluation waits until the machine is back, allows to move, or an operator
             resumes.
@@ -144,6 +145,7 @@ class Run:
     state_before: dict[str, float] | None = None
     by_client: bool = False
     changeable: bool = True
+    begun: int = 0
     evaluating: bool = False
     obstructed: bool = False
     consecutive_failures: int = 0
@@ -165,6 +167,11 @@ class Run:
     def index(self) -> int:
         """Index of the next evaluation, which is the number of finished ones."""
         return self.found.evaluations
+
+    @property
+    def upcoming(self) -> int:
+        """Index of the first evaluation that has not begun; the one before it may be in flight."""
+        return max(self.begun, self.index)
 
     @property
     def interrupted(self) -> bool:

@@ -35,6 +35,7 @@ class Steering:
         withdrawals: Evaluations and diagnostics to forget, or to learn again, before the next suggestion.
         queue: Set-points of operators, evaluated before the next suggestion.
         falling_back: Whether the run is over and the machine is moved; a request to skip stops it.
+        over: Whether no further evaluation begins, so that requests come too late.
     """
 
     paused: bool = False
@@ -45,8 +46,10 @@ class Steering:
     withdrawals: deque[ForgetRecord] = field(default_factory=deque)
     queue: deque[dict[str, float]] = field(default_factory=deque)
     falling_back: bool = False
+    over: bool = False
     _news: Future = field(default_factory=Future)
     _skip: Future = field(default_factory=Future)
+    _skipped: Future = field(default_factory=Future)
 
     @property
     def news(self) -> Future:
@@ -59,6 +62,11 @@ class Steering:
     def skip(self) -> Future:
         """Future that is done when the evaluation in flight must be skipped."""
         return self._skip
+
+    @property
+    def skipped(self) -> Future:
+        """Future that is done with the evaluation in flight; its result is whether that was skipped."""
+        return self._skipped
 
     @property
     def changes(self) -> bool:
@@ -109,9 +117,33 @@ class Steering:
         """Note that an evaluation begins."""
         self.steps = max(0, self.steps - 1)
 
-    def forget_skip(self) -> None:
-        """Note that an evaluation is over; a request to skip it does not apply to the next one."""
-        self._skip = Future()
+    def forget_skip(self, skipped: bool = False) -> None:
+        """Note that an evaluation is over; a request to skip it does not apply to the next one.
+
+        Args:
+            skipped: Whether it was skipped.
+        """
+        self._skipped.set_result(skipped)
+        self._skip, self._skipped = Future(), Future()
+
+    def end(self) -> None:
+        """Note that the run is over: what is requested from now on comes too late."""
+        self.over = True
+        self.forget_skip()
+
+    def undone(self, stopped: bool) -> str:
+        """Return what was requested and did not happen before the end, in a few words; empty if nothing.
+
+        Args:
+            stopped: Whether the run was stopped by somebody, who does not expect a pause any more.
+        """
+        parts = []
+        if self.queue:
+            parts.append(f"{len(self.queue)} queued set-point{'s' * (len(self.queue) > 1)}")
+        if self.paused and not stopped:
+            steps = f"{self.steps} single evaluation{'s' * (self.steps > 1)}, then "
+            parts.append(f"{steps * (self.steps > 0)}a pause, as {self.reason}")
+        return " and ".join(parts)
 
     def begin_fallback(self) -> None:
         """Note that the machine is moved after the run; earlier requests to skip do not stop it."""

@@ -94,7 +94,7 @@ class ParameterChanges:
             self._parameters.accept(problem_changes)
         self._context.parameters.update(own_changes)
         run = self._session.run
-        if run is None or not run.changeable:
+        if run is None or not run.changeable or run.steering.over:
             return
         if not problem_changes and "evaluations" not in own_changes:
             return

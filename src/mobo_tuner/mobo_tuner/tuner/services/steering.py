@@ -11,6 +11,7 @@ from mobo_tuner.core import ProblemError
 from mobo_tuner.errors import MessageError, UserError
 from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.conversions import unique_values
+from mobo_tuner.ros.waiting import first_of
 from mobo_tuner.runs.records import ForgetRecord, QueuedRecord
 from mobo_tuner.tuner.context import TunerContext
 from mobo_tuner.tuner.gate import Gate, Target, check_bounds, check_grids
@@ -18,6 +19,7 @@ from mobo_tuner.tuner.run.run import Run
 from mobo_tuner.tuner.session import Session
 
 MAX_QUEUED = 1000  # set-points
+SKIP_TIMEOUT = 3.0  # [s] for an evaluation to end once it is to be skipped
 
 
 class SteeringServices:
@@ -35,10 +37,10 @@ class SteeringServices:
             (interfaces.PAUSE, _pause),
             (interfaces.RESUME, _resume),
             (interfaces.STEP, _step),
-            (interfaces.SKIP, _skip),
             (interfaces.STOP_AFTER_THIS, _stop_after_this),
         ):
             service.server(context.node, self._trigger(service.name, action))
+        interfaces.SKIP.server(context.node, self._skip, waits=True)
         interfaces.QUEUE_SETPOINT.server(context.node, self._queue)
         for service, withdrawn in ((interfaces.FORGET, True), (interfaces.UNFORGET, False)):
             service.server(context.node, self._withdrawal(service.name, withdrawn))
@@ -47,13 +49,10 @@ class SteeringServices:
         self, name: str, action: Callable[[Run], str]
     ) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            run = self._session.run
-            if run is None:
-                response.message = f"'{name}' needs an active run; there is none"
-                return response
             try:
+                run = self._active(name)
                 response.message = action(run)
-            except ValueError as error:
+            except RequestError as error:
                 response.message = str(error)
                 return response
             response.success = True
@@ -63,19 +62,54 @@ class SteeringServices:
 
         return serve
 
+    def _active(self, name: str) -> Run:
+        """Return the run that a request is for.
+
+        Raises:
+            RequestError: If there is none, or it is over.
+        """
+        run = self._session.run
+        if run is None:
+            raise RequestError(f"'{name}' needs an active run; there is none")
+        if run.steering.over:
+            moves = ", and the machine moves: 'skip' stops it" * run.steering.falling_back
+            raise RequestError(f"'{name}' comes too late: the run is over{moves}")
+        return run
+
+    async def _skip(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Serve `skip`; the answer says what became of the evaluation, which may just have ended."""
+        run = self._session.run
+        if run is not None and run.steering.falling_back:
+            run.steering.request_skip()
+            response.success, response.message = True, "the machine stops where it is"
+        elif run is None:
+            response.message = "'skip' needs an active run; there is none"
+        elif not run.evaluating:
+            response.message = "'skip' needs an evaluation in flight; there is none"
+        else:
+            index, skipped = run.index, run.steering.skipped
+            run.steering.request_skip()
+            await first_of(self._context.node, skipped, timeout=SKIP_TIMEOUT)
+            response.success = not skipped.done() or bool(skipped.result())
+            response.message = (
+                f"evaluation {index} is skipped, which counts as failed"
+                if response.success
+                else f"'skip' comes too late: evaluation {index} had ended"
+            )
+        if run is not None:
+            self._context.log.info(f"run '{run.run_id}', skip: {response.message}")
+        return response
+
     def _withdrawal(
         self, name: str, withdrawn: bool
     ) -> Callable[[ForgetEvaluation.Request, ForgetEvaluation.Response], ForgetEvaluation.Response]:
         def serve(
             request: ForgetEvaluation.Request, response: ForgetEvaluation.Response
         ) -> ForgetEvaluation.Response:
-            run = self._session.run
-            if run is None:
-                response.message = f"'{name}' needs an active run; there is none"
-                return response
-            stamp = self._context.stamp()
-            record = ForgetRecord(stamp, run.index, request.index, request.diagnostic, withdrawn)
             try:
+                run = self._active(name)
+                stamp, index = self._context.stamp(), run.index
+                record = ForgetRecord(stamp, index, request.index, request.diagnostic, withdrawn)
                 check_withdrawal(run, record)
             except UserError as error:
                 response.message = str(error)
@@ -94,12 +128,14 @@ class SteeringServices:
     def _queue(
         self, request: QueueSetpoint.Request, response: QueueSetpoint.Response
     ) -> QueueSetpoint.Response:
-        run = self._session.run
-        if run is None:
-            response.message = "'queue_setpoint' needs an active run; there is none"
+        try:
+            run = self._active("queue_setpoint")
+        except RequestError as error:
+            response.message = str(error)
             return response
         steering = run.steering
         try:
+            check_continues(run)
             if len(steering.queue) >= MAX_QUEUED:
                 raise ProblemError(f"{MAX_QUEUED} set-points are queued; no more are allowed")
             setpoint = unique_values("the set-point", request.setpoint)
@@ -113,6 +149,25 @@ class SteeringServices:
             response.success = True
         response.waiting = len(steering.queue)
         return response
+
+
+class RequestError(UserError):
+    """A request of an operator that the run cannot serve as it is now."""
+
+
+def check_continues(run: Run) -> None:
+    """Check that another evaluation begins, before which a request takes effect.
+
+    Raises:
+        RequestError: If the budget is spent with the one in flight.
+    """
+    change = run.steering.change
+    budget = run.budget if change is None else change.budget
+    if run.upcoming >= budget:
+        raise RequestError(
+            f"evaluation {budget - 1} is the last one, after which the run ends; "
+            f"evaluations={budget + 1} or more extends it"
+        )
 
 
 def check_queued(run: Run, gate: Gate, setpoint: Mapping[str, float]) -> None:
@@ -164,8 +219,9 @@ def check_withdrawal(run: Run, record: ForgetRecord) -> None:
 
 
 def _pause(run: Run) -> str:
+    check_continues(run)
     run.steering.pause("an operator asked for it")
-    return f"the run pauses before evaluation {run.index + (1 if run.evaluating else 0)}"
+    return f"the run pauses before evaluation {run.upcoming}"
 
 
 def _resume(run: Run) -> str:
@@ -174,19 +230,11 @@ def _resume(run: Run) -> str:
 
 
 def _step(run: Run) -> str:
+    if not run.obstructed:  # otherwise the evaluation in flight is tried once more
+        check_continues(run)
     run.steering.step("an operator makes single evaluations")
     count = run.steering.steps
     return f"{count} more evaluation{'s' if count > 1 else ''}, then a pause"
-
-
-def _skip(run: Run) -> str:
-    if run.steering.falling_back:
-        run.steering.request_skip()
-        return "the machine stops where it is"
-    if not run.evaluating:
-        raise ValueError("'skip' needs an evaluation in flight; there is none")
-    run.steering.request_skip()
-    return f"evaluation {run.index} is skipped, which counts as failed"
 
 
 def _stop_after_this(run: Run) -> str:
