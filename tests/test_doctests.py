@@ -10,6 +10,7 @@ import pytest
 
 MODULES = (
     "awa_sim_node.surrogate.predictor",
+    "mobo_tuner.core.derived",
     "mobo_tuner.core.hypervolume",
     "mobo_tuner.core.pareto",
     "mobo_tuner.core.problem",

@@ -51,7 +51,7 @@ cd "$root"
 # The libraries themselves use what later versions of others call deprecated.
 PYTHONPATH=src/mobo_tuner:src/awa_sim_node OMP_NUM_THREADS=1 "$python" -m pytest -q -p no:cacheprovider \
   --disable-warnings -o filterwarnings=default \
-  tests/core/test_acquisition.py tests/core/test_box_sums.py tests/core/test_kernels.py \
+  tests/core/test_acquisition.py tests/core/test_box_sums.py tests/core/test_derived.py tests/core/test_kernels.py \
   tests/core/test_optimizer_inputs.py tests/core/test_presets.py \
   tests/awa_sim_node/machine tests/machine/test_node.py tests/machine/test_simple.py \
   tests/runs/report/test_command.py tests/runs/report/test_summary.py tests/runs/test_replay.py \

@@ -9,7 +9,8 @@ NAME = "mobo_tuner"
 EXECUTABLES = ("console", "live_server", "machine_bridge", "page", "recorder", "steer", "tuner")
 # Exactly this version of rosbags: runs/bag.py writes MCAP with parts of it that may change.
 BAGS = ["backports.zstd>=1.0", "lz4>=4.0", "rosbags==0.11.9"]
-TUNER = ["numba>=0.58", "scipy>=1.11", "threadpoolctl>=3.1", *BAGS]  # resumes from a bag, too
+# simpleeval before 1.0.5 can be escaped from. The tuner resumes from a bag, too.
+TUNER = ["numba>=0.58", "scipy>=1.11", "simpleeval>=1.0.5", "threadpoolctl>=3.1", *BAGS]
 EXTRAS = {
     "tuner": TUNER,
     "recorder": BAGS,

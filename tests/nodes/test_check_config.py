@@ -25,6 +25,7 @@ SHIPPED = {
     "awa.yaml": "awa_sim",
     "toy.yaml": "awa_sim",
     "shift.yaml": "awa_sim",
+    "derived.yaml": "awa_sim",
     "foreign.yaml": "machine_bridge",
     "my_machine.yaml": "",
 }

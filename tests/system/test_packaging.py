@@ -125,6 +125,7 @@ ROSDEP = {
 WITHOUT_KEY = {
     "threadpoolctl": "python3-threadpoolctl",
     "pyarrow": "pip install pyarrow",
+    "simpleeval": 'pip install "simpleeval>=1.0.5"',
     "torch": "awa_sim_node[training]",
     "nicegui": "pip install nicegui==3.18.0",
     "foxglove": "pip install foxglove-sdk==0.30.3",

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import math
 import threading
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from mobo_tuner.core import Problem
+from mobo_msgs_py.action import EvaluateSetpoint, Tune
+from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.runs.export import columns_of
 from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import read_journal
-from mobo_tuner.tuner.run.run import Findings
+from mobo_tuner.runs.recorded_run import RecordedRun
+from mobo_tuner.runs.replay import restore
+from mobo_tuner.tuner.machine_client import Answer
+from mobo_tuner.tuner.run.run import Findings, Outcome, Suggestion, checked
 from mobo_tuner.tuner.run.steering import Change, Steering
 from mobo_tuner.tuner.session import Session
 from robustness.offline_run import TOY, OfflineRun, toy, toy_optimizer
+from tests.support.processes import NodeProcess
+from tests.support.tuner import GoalClient
 
 
 @pytest.fixture
@@ -139,3 +149,46 @@ def test_a_tuner_does_one_thing_at_a_time(offline: OfflineRun) -> None:
     assert session.latest is None
     session.know(offline.run)
     assert session.latest is offline.run
+
+
+def test_a_derived_quantity_is_measured_kept_replayed_and_exported(
+    start_tuner: Callable[..., NodeProcess],
+    start_machine: Callable[..., NodeProcess],
+    client: GoalClient,
+    tmp_path: Path,
+) -> None:
+    start_machine(config="derived.yaml")
+    start_tuner("initial_evaluations:=2", config="derived.yaml")
+    client.send(Tune.Goal(run_id="derived", evaluations=3))
+    assert client.wait(60.0).error_code == 0
+    history = History.from_records(read_journal(tmp_path / "runs" / "derived"))
+    assert len(history.evaluations) == 3
+    for record, feedback in zip(history.evaluations, client.feedback[-3:], strict=True):
+        values = {name: mean for name, (mean, _) in record.diagnostics.items()}
+        eps_4d, stddev = record.diagnostics["eps_4d"]
+        assert eps_4d == pytest.approx(math.sqrt(values["eps_x"] * values["eps_y"]))
+        assert 0.0 < stddev < 0.1 * eps_4d
+        assert values["detuning"] == abs(record.setpoint["phi1"] - record.setpoint["phi2"])
+        shown = {item.name: item for item in feedback.evaluation.diagnostics}
+        assert (shown["eps_4d"].value, shown["eps_4d"].unit) == (eps_4d, "mm mrad")
+    assert restore(history, None).hypervolume == history.evaluations[-1].hypervolume
+    columns, units = columns_of(RecordedRun.load(tmp_path / "runs" / "derived"))
+    assert columns["eps_4d"] == [r.diagnostics["eps_4d"][0] for r in history.evaluations]
+    assert units["eps_4d.stddev"] == "mm mrad"
+
+
+def test_an_undefined_derived_quantity_is_an_invalid_measurement(tmp_path: Path) -> None:
+    derived = {"root": {"formula": "sqrt(f1 - 2)"}, "seen": {"formula": "1 / (f2 - f2)"}}
+    problem = {**TOY, "derived": derived, "constraints": {"root": {"max": 1.0}}}
+    optimizer = Optimizer(Problem.from_dict(problem), initial_evaluations=4)
+    run = OfflineRun(tmp_path / "run", optimizer, toy, seed=1, events=False).run
+    answer = Answer(0, "", 0.0, diagnostics={"f1": (3.0, 0.0), "f2": (1.0, 0.0)})
+    assert checked(run, {"x1": 0.0, "x2": 0.0}, answer, "machine") is answer
+    worse = replace(answer, diagnostics={"f1": (1.0, 0.0), "f2": (1.0, 0.0)})
+    judged = checked(run, {"x1": 0.0, "x2": 0.0}, worse, "machine")
+    assert judged.error_code == EvaluateSetpoint.Result.INVALID_MEASUREMENT
+    assert "sqrt(f1 - 2)" in judged.error_msg
+    record = run.learn(Suggestion({"x1": 0.0, "x2": 0.0}, "model", 0.0), Outcome(judged, 1))
+    assert (record.valid, record.feasible) == (True, False)  # its objectives are learned
+    nothing = replace(answer, diagnostics={"g": (1.0, 0.0)})
+    assert checked(run, {"x1": 0.0, "x2": 0.0}, nothing, "client").error_code

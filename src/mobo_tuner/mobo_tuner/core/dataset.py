@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -116,10 +116,16 @@ class Dataset:
             raise ProblemError(f"the outputs must be a mapping of names, not {outputs!r:.60}")
         measured = {name: self._measured(name, value) for name, value in outputs.items()}
         when = self._time(time)
+        for name, result in self.problem.derive({**setpoint, **known}, measured).items():
+            measured[name] = (result.value, result.stddev)
         values = {name: mean for name, (mean, _) in measured.items()}
         if failed is None:
             required = self.problem.required_diagnostics
-            inferred = not any(math.isfinite(values.get(name, math.nan)) for name in required)
+            inferred = not any(
+                math.isfinite(values.get(name, math.nan))
+                for name in required
+                if name not in self.problem.known_before
+            )
         else:
             inferred = bool(failed)
         evaluation = self._judged(
@@ -155,7 +161,8 @@ class Dataset:
         if name is None:
             changed = replace(evaluation, forgotten=True)
         else:
-            changed = replace(evaluation, forgotten_names=evaluation.forgotten_names | {name})
+            names = {name, *self._derived_from([name])}
+            changed = replace(evaluation, forgotten_names=evaluation.forgotten_names | names)
         self.evaluations[index] = self._judged(changed)
 
     def unforget(self, index: int, name: str | None = None) -> None:
@@ -167,7 +174,8 @@ class Dataset:
         if name is None:
             changed = replace(evaluation, forgotten=False, forgotten_names=frozenset())
         else:
-            changed = replace(evaluation, forgotten_names=evaluation.forgotten_names - {name})
+            others = evaluation.forgotten_names - {name, *self._derived_from([name])}
+            changed = replace(evaluation, forgotten_names=others | self._derived_from(others))
         self.evaluations[index] = self._judged(changed)
 
     @property
@@ -177,6 +185,10 @@ class Dataset:
             (e.index, None) for e in self.evaluations if e.forgotten
         ]
         return whole + [(e.index, n) for e in self.evaluations for n in sorted(e.forgotten_names)]
+
+    def _derived_from(self, names: Collection[str]) -> frozenset[str]:
+        """Return the derived quantities with one of the names in their formulas."""
+        return frozenset(d.name for d in self.problem.derived if set(d.names) & set(names))
 
     def _evaluation(self, index: int, name: str | None) -> Evaluation:
         """Return an evaluation of which `name` was told."""

@@ -202,7 +202,8 @@ class Optimizer:
     def _warn_of_misspelt(self, outputs: Mapping[str, Any]) -> None:
         """Warn, once for each, of an unknown output that looks like one that was never told."""
         problem = self.problem
-        known = {*problem.required_diagnostics, *(o.name for o in problem.observables)}
+        derived = {d.name for d in problem.derived}
+        known = {*problem.measured_diagnostics, *(o.name for o in problem.observables)} - derived
         unknown = outputs.keys() - known
         if not unknown:
             return

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mobo_tuner.core.derived import Derived, Reading, Result
 from mobo_tuner.core.domain import Domain, EmptyDomainError
 from mobo_tuner.core.problem_definition import (
     SECTIONS,
@@ -89,6 +90,7 @@ class Problem:
     constraints: tuple[Constraint, ...] = ()
     observables: tuple[Observable, ...] = ()
     limits: tuple[Limit, ...] = ()
+    derived: tuple[Derived, ...] = ()
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> Problem:
@@ -111,13 +113,18 @@ class Problem:
         """Build a problem from nested mappings, as in a parameter file.
 
         Args:
-            mapping: Content of a ROS parameter file, or the four sections alone.
+            mapping: Content of a ROS parameter file, or the sections alone.
 
         Raises:
             ProblemError: If a key is unknown or missing, or a value has the wrong type or is not
                 allowed.
         """
         problem = cls(*read_definition(mapping))
+        if not problem.measured_diagnostics:
+            raise ProblemError(
+                "all objectives and constraints are derived from variables alone; at least one that "
+                "is measured is needed"
+            )
         measured = {*problem.objective_names, *(o.name for o in problem.observables)}
         for variable in problem.variables:
             if variable.name in measured:
@@ -147,7 +154,12 @@ class Problem:
         """Return the mapping from which :meth:`from_dict` builds an equal problem."""
         return definition_of(
             Quantities(
-                self.variables, self.objectives, self.constraints, self.observables, self.limits
+                self.variables,
+                self.objectives,
+                self.constraints,
+                self.observables,
+                self.limits,
+                self.derived,
             )
         )
 
@@ -164,7 +176,8 @@ class Problem:
     @property
     def units(self) -> dict[str, str]:
         """Unit of every quantity that has one."""
-        quantities: tuple[Constraint | Observable | Objective | Variable, ...] = (
+        quantities: tuple[Constraint | Derived | Observable | Objective | Variable, ...] = (
+            *self.derived,
             *self.constraints,
             *self.observables,
             *self.objectives,
@@ -176,6 +189,35 @@ class Problem:
     def required_diagnostics(self) -> tuple[str, ...]:
         """Diagnostics without which an evaluation is invalid: objectives and constrained ones."""
         return tuple(dict.fromkeys([*self.objective_names, *(c.name for c in self.constraints)]))
+
+    @property
+    def measured_diagnostics(self) -> tuple[str, ...]:
+        """Diagnostics of the machine of which `required_diagnostics` consist or are derived."""
+        parts = {d.name: d.names for d in self.derived}
+        names = [part for n in self.required_diagnostics for part in parts.get(n, (n,))]
+        return tuple(dict.fromkeys(name for name in names if name not in self.variable_names))
+
+    @property
+    def known_before(self) -> frozenset[str]:
+        """Derived quantities that depend on variables alone, so that their values say of no measurement."""
+        variables = set(self.variable_names)
+        return frozenset(d.name for d in self.derived if variables.issuperset(d.names))
+
+    def derive(
+        self, where: Mapping[str, float], readings: Mapping[str, Reading]
+    ) -> dict[str, Result]:
+        """Return the derived quantities; one that was measured in place of its parts is left out.
+
+        Args:
+            where: Where the machine was, every variable in its unit.
+            readings: Mean and standard deviation of the diagnostics by name, NaN where unknown.
+        """
+        known = {**readings, **{name: (value, 0.0) for name, value in where.items()}}
+        return {
+            d.name: d.of(known)
+            for d in self.derived
+            if d.name not in readings or any(name in readings for name in d.names)
+        }
 
     @property
     def has_references(self) -> bool:
@@ -405,18 +447,37 @@ class Problem:
                 )
         for variable in self.variables:
             _check_unit("variable", variable, variable_units)
+        derived = {d.name for d in self.derived}
+        self._check_formulas(diagnostics)
         for kind, quantities in (
             ("objective", self.objectives),
             ("constraint", self.constraints),
             ("observable", self.observables),
         ):
             for quantity in quantities:
+                if quantity.name in derived:
+                    continue
                 if quantity.name not in diagnostics:
                     raise ProblemError(
                         f"{kind} '{quantity.name}' is not measured by the machine, "
                         f"which measures {listed(diagnostics)}"
                     )
                 _check_unit(kind, quantity, diagnostics)
+
+    def _check_formulas(self, diagnostics: Mapping[str, str]) -> None:
+        """Check that a machine measures what the derived quantities consist of, and not themselves."""
+        for derived in self.derived:
+            if derived.name in diagnostics:
+                raise ProblemError(
+                    f"derived.{derived.name} is called as a diagnostic of the machine; another name "
+                    "is allowed"
+                )
+            for name in derived.names:
+                if name not in diagnostics and name not in self.variable_names:
+                    raise ProblemError(
+                        f"derived.{derived.name}.formula uses '{name}', which is neither a variable nor "
+                        f"measured by the machine, which measures {listed(diagnostics)}"
+                    )
 
 
 def _resolved(variable: Variable, present: float, low: float, high: float) -> Variable:

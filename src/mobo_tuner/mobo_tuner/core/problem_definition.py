@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple, TypeVar
 
+from mobo_tuner.core.derived import CONSTANTS, Derived
 from mobo_tuner.core.quantities import (
     Constraint,
     Limit,
@@ -24,7 +26,7 @@ from mobo_tuner.core.values import (
     describe,
 )
 
-SECTIONS = ("variables", "limits", "objectives", "constraints", "observables")
+SECTIONS = ("variables", "limits", "derived", "objectives", "constraints", "observables")
 MOST_VALUES = 2_000_000
 """Largest number of values on the grid of a variable."""
 PRESENT = "present"
@@ -42,6 +44,7 @@ class Quantities(NamedTuple):
     constraints: tuple[Constraint, ...]
     observables: tuple[Observable, ...]
     limits: tuple[Limit, ...]
+    derived: tuple[Derived, ...]
 
 
 def read_definition(mapping: Mapping[str, Any]) -> Quantities:
@@ -60,18 +63,27 @@ def read_definition(mapping: Mapping[str, Any]) -> Quantities:
         if not sections[name]:
             raise ProblemError(f"'{name}' is missing or empty: at least one is needed")
     variables = tuple(_variable(n, m) for n, m in sections["variables"].items())
+    derived = tuple(_derived(n, m) for n, m in sections["derived"].items())
+    constraints = tuple(_constraint(n, m) for n, m in sections["constraints"].items())
+    _check_derived(derived, variables, constraints)
     return Quantities(
         variables=variables,
-        objectives=tuple(_objective(n, m) for n, m in sections["objectives"].items()),
-        constraints=tuple(_constraint(n, m) for n, m in sections["constraints"].items()),
-        observables=tuple(_observable(n, m) for n, m in sections["observables"].items()),
+        objectives=_with_units(
+            (_objective(n, m) for n, m in sections["objectives"].items()), derived
+        ),
+        constraints=_with_units(constraints, derived),
+        observables=_with_units(
+            (_observable(n, m) for n, m in sections["observables"].items()), derived
+        ),
         limits=tuple(_limit(n, m, variables) for n, m in sections["limits"].items()),
+        derived=derived,
     )
 
 
 def definition_of(quantities: Quantities) -> dict[str, dict[str, dict[str, Any]]]:
     """Return the mapping from which `read_definition` reads equal quantities."""
     limits = {limit.name: _limit_entry(limit) for limit in quantities.limits}
+    derived = {d.name: {"formula": d.formula, "unit": d.unit} for d in quantities.derived}
     return {
         "variables": {
             v.name: {
@@ -111,6 +123,7 @@ def definition_of(quantities: Quantities) -> dict[str, dict[str, dict[str, Any]]
             o.name: {"unit": o.unit} | _invalid_entry(o) for o in quantities.observables
         },
         **({"limits": limits} if limits else {}),
+        **({"derived": derived} if derived else {}),
     }
 
 
@@ -310,6 +323,61 @@ def _limit(name: str, entry: Mapping[str, Any], variables: Sequence[Variable]) -
 def _limit_entry(limit: Limit) -> dict[str, float]:
     ends = (("min", limit.minimum), ("max", limit.maximum))
     return dict(limit.coefficients) | {key: end for key, end in ends if math.isfinite(end)}
+
+
+def _derived(name: str, entry: Mapping[str, Any]) -> Derived:
+    where = f"derived.{name}"
+    check_names(where, entry, ("formula", "unit"))
+    unit = as_string(f"{where}.unit", entry.get("unit", ""))
+    return Derived(name, entry.get("formula", ""), unit)
+
+
+def _check_derived(
+    derived: Sequence[Derived], variables: Sequence[Variable], constraints: Sequence[Constraint]
+) -> None:
+    """Check that derived quantities depend on none of each other, and that a machine need not know them."""
+    names = {d.name for d in derived}
+    for quantity in derived:
+        where = f"derived.{quantity.name}"
+        if quantity.name in CONSTANTS or quantity.name in {v.name for v in variables}:
+            raise ProblemError(
+                f"{where} is called as a variable or a constant; another name is allowed"
+            )
+        for name in quantity.names:
+            if name in names:
+                raise ProblemError(
+                    f"{where}.formula uses '{name}', which is derived itself; write its formula there"
+                )
+    for constraint in constraints:
+        if constraint.critical and constraint.name in names:
+            raise ProblemError(
+                f"constraints.{constraint.name}.critical is true, but the machine, which ends such an "
+                "evaluation, does not know derived quantities; false is allowed"
+            )
+
+
+_Measured = TypeVar("_Measured", Objective, Constraint, Observable)
+
+
+def _with_units(
+    quantities: Iterable[_Measured], derived: Sequence[Derived]
+) -> tuple[_Measured, ...]:
+    """Return quantities with the units of the derived ones among them.
+
+    Raises:
+        ProblemError: If one has another unit.
+    """
+    units = {d.name: d.unit for d in derived}
+    found = []
+    for quantity in quantities:
+        unit = units.get(quantity.name, "")
+        if unit and quantity.unit and unit != quantity.unit:
+            raise ProblemError(
+                f"derived.{quantity.name}.unit is '{unit}', and the same quantity has the unit "
+                f"'{quantity.unit}' elsewhere; one of the two is allowed"
+            )
+        found.append(replace(quantity, unit=quantity.unit or unit))
+    return tuple(found)
 
 
 def _objective(name: str, entry: Mapping[str, Any]) -> Objective:

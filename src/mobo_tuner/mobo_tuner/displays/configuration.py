@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from mobo_tuner.core.derived import Derived
 from mobo_tuner.core.problem import Constraint, Limit, Objective, Problem, Variable
 from mobo_tuner.machine.description import MachineDescription
 
@@ -53,6 +54,8 @@ def explanation(configuration: Configuration) -> list[str]:
     lines += _entry("variables", _table(map(_variable, problem.variables)))
     if problem.limits:
         lines += _entry("limits", _table(map(_limit, problem.limits)))
+    if problem.derived:
+        lines += _entry("derived", _table(map(_derived, problem.derived)))
     lines += _entry("objectives", _table(map(_objective, problem.objectives)))
     lines += _entry("constraints", _table(map(_constraint, problem.constraints)) or ["none"])
     observables = ", ".join(
@@ -109,6 +112,10 @@ def _open(variable: Variable) -> str:
 def _limit(limit: Limit) -> tuple[str, str]:
     terms = " + ".join(f"{coefficient:g} {name}" for name, coefficient in limit.coefficients)
     return limit.name, f"{terms} {_ends_of(limit)}"
+
+
+def _derived(derived: Derived) -> tuple[str, str]:
+    return derived.name, _quantity(derived.formula, f"[{derived.unit}]" if derived.unit else "")
 
 
 def _objective(objective: Objective) -> tuple[str, str]:

@@ -157,22 +157,28 @@ def told(
     """Return the arguments for an evaluation; readbacks only if the models learn from them."""
     time = stamp if math.isfinite(stamp) else None
     outputs = dict(diagnostics)
-    failed = _failed(problem, diagnostics, error_code)
-    if model_input == SETPOINT:
-        return Told(setpoint, outputs, {}, failed, time)
-    known = {name: readbacks[name] for name in problem.variable_names if name in readbacks}
-    return Told(setpoint, outputs, known, failed, time)
+    known: Values = {}
+    if model_input != SETPOINT:
+        known = {name: readbacks[name] for name in problem.variable_names if name in readbacks}
+    derived = problem.derive(place(setpoint, known), diagnostics)
+    values = {name: mean for name, (mean, _) in diagnostics.items()}
+    values |= {name: result.value for name, result in derived.items()}
+    return Told(setpoint, outputs, known, _failed(problem, values, error_code), time)
 
 
-def _failed(problem: Problem, diagnostics: Measurements, error_code: int) -> bool | None:
+def place(setpoint: Values, readbacks: Values) -> dict[str, float]:
+    """Return where the machine was: readbacks where known, else the set-point."""
+    known = {name: value for name, value in readbacks.items() if math.isfinite(value)}
+    return {**setpoint, **known}
+
+
+def _failed(problem: Problem, values: Values, error_code: int) -> bool | None:
     """Return whether the machine reported a failure; None lets the outputs decide.
 
     If one diagnostic could not be measured, the models still learn the others.
     """
-    unknown = (math.nan, math.nan)
-    measured = {
-        math.isfinite(diagnostics.get(name, unknown)[0]) for name in problem.required_diagnostics
-    }
+    names = {*problem.required_diagnostics, *problem.measured_diagnostics} - problem.known_before
+    measured = {math.isfinite(values.get(name, math.nan)) for name in names}
     partly = measured == {True, False}
     return None if not error_code or (error_code == INVALID_MEASUREMENT and partly) else True
 

@@ -90,6 +90,14 @@ QUANTITY_PARAMETERS = tuple(
         ("limits", "min", "number, none", "Least value of the sum; min, max or both.", True),
         ("limits", "max", "number, none", "Greatest value of the sum; min, max or both.", True),
         (
+            "derived",
+            "formula",
+            "text, required",
+            "Formula over diagnostics and variables, such as sqrt(eps_x * eps_y); its name is that of an "
+            "objective, a constraint, an observable or none of them.",
+        ),
+        ("derived", "unit", "text, empty", "Unit of the result."),
+        (
             "objectives",
             "reference",
             "number, inferred",

@@ -54,6 +54,7 @@ class TunerTopics:
                 *problem.variable_names,
                 *problem.required_diagnostics,
                 *(o.name for o in problem.observables),
+                *(d.name for d in problem.derived),
                 "hypervolume",
                 "suggest_seconds",
             ]

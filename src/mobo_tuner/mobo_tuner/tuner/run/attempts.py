@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Literal, NamedTuple
 
 from rclpy.task import Future
@@ -19,7 +18,7 @@ from mobo_tuner.tuner.machine_client import Answer, MachineLostError
 from mobo_tuner.tuner.messages import constraint_messages
 from mobo_tuner.tuner.parameters import TunerParameters
 from mobo_tuner.tuner.run.fallbacks import Fallbacks
-from mobo_tuner.tuner.run.run import Outcome, Run, RunError, measured_nothing
+from mobo_tuner.tuner.run.run import Outcome, Run, RunError, checked
 
 _CODES = EvaluateSetpoint.Result
 # The machine went there but could not measure: a failed evaluation, from which the models learn.
@@ -218,13 +217,8 @@ class Attempts:
             )
         except MachineLostError as error:
             return Answer(_CODES.MACHINE_LOST, str(error), context.stamp())
-        if answer.error_code == _CODES.NONE and measured_nothing(run.problem, answer):
-            names = ", ".join(run.problem.required_diagnostics)
-            return replace(
-                answer,
-                error_code=_CODES.INVALID_MEASUREMENT,
-                error_msg=f"the machine measured none of {names}",
-            )
+        if answer.error_code == _CODES.NONE:
+            return checked(run, setpoint, answer, "machine")
         return answer
 
     # ------------------------------------------------------------------ between two attempts

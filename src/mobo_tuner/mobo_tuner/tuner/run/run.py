@@ -16,7 +16,7 @@ from mobo_msgs_py.action import EvaluateSetpoint
 from mobo_msgs_py.srv import DescribeMachine
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.runs.hints import Hints, run_hints
-from mobo_tuner.runs.history import SETPOINT, told, told_of
+from mobo_tuner.runs.history import SETPOINT, place, told, told_of
 from mobo_tuner.runs.records import ChangeRecord, EvaluationRecord, ForgetRecord, Source
 from mobo_tuner.runs.replay import withdraw
 from mobo_tuner.runs.run_log import RunLog
@@ -330,10 +330,25 @@ class Run:
         self.log.save(self.optimizer)
 
 
-def measured_nothing(problem: Problem, answer: Answer) -> bool:
-    """Return whether an answer has no objective and no constrained diagnostic."""
-    unknown = (math.nan, math.nan)
-    return not any(
-        math.isfinite(answer.diagnostics.get(name, unknown)[0])
-        for name in problem.required_diagnostics
-    )
+def checked(run: Run, setpoint: Mapping[str, float], answer: Answer, who: str) -> Answer:
+    """Return an answer without an error, or with the error that its values are.
+
+    Args:
+        run: Run to whose problem it belongs.
+        setpoint: Set-point that was evaluated.
+        answer: Answer without an error.
+        who: Name of what measured, for the error.
+    """
+    problem, unknown = run.problem, (math.nan, math.nan)
+    names = problem.measured_diagnostics
+    reason = ""
+    if not any(math.isfinite(answer.diagnostics.get(name, unknown)[0]) for name in names):
+        reason = f"the {who} measured none of {', '.join(names)}"
+    else:
+        readbacks = answer.readbacks if run.model_input != SETPOINT else {}
+        derived = problem.derive(place(setpoint, readbacks), answer.diagnostics)
+        undefined = [derived[n].reason for n in problem.required_diagnostics if n in derived]
+        reason = next(filter(None, undefined), "")
+    if not reason:
+        return answer
+    return replace(answer, error_code=EvaluateSetpoint.Result.INVALID_MEASUREMENT, error_msg=reason)

@@ -15,7 +15,7 @@ from mobo_tuner.tuner.context import TunerContext, describe
 from mobo_tuner.tuner.machine_client import Answer
 from mobo_tuner.tuner.problem_parameters import ProblemParameters
 from mobo_tuner.tuner.run.loop import Ending, end_run, publish_front_change, publish_run
-from mobo_tuner.tuner.run.run import Outcome, Run, Suggestion, measured_nothing
+from mobo_tuner.tuner.run.run import Outcome, Run, Suggestion, checked
 from mobo_tuner.tuner.run.start import RunRequest, start_run
 from mobo_tuner.tuner.run.steering import Change
 from mobo_tuner.tuner.session import Session
@@ -76,7 +76,7 @@ class AskTell:
             run = await self._current()
             run.problem.normalize(setpoint)
             _check_readbacks(run.problem, readbacks)
-            outcome = Outcome(self._answer(run, request, readbacks), 1)
+            outcome = Outcome(self._answer(run, setpoint, request, readbacks), 1)
             record = await self._context.worker.submit(self._learn, run, setpoint, outcome, request)
         except Exception as error:  # as above
             if request.run_id:
@@ -156,13 +156,16 @@ class AskTell:
             return asked
         return Suggestion(setpoint, "operator", 0.0)
 
-    def _answer(self, run: Run, request: Tell.Request, readbacks: dict[str, float]) -> Answer:
+    def _answer(
+        self,
+        run: Run,
+        setpoint: dict[str, float],
+        request: Tell.Request,
+        readbacks: dict[str, float],
+    ) -> Answer:
         measured = measurements_of(request.diagnostics)
         answer = Answer(_CODES.NONE, "", self._context.stamp(), readbacks, measured)
-        if not measured_nothing(run.problem, answer):
-            return answer
-        text = f"the client measured none of {', '.join(run.problem.required_diagnostics)}"
-        return Answer(_CODES.INVALID_MEASUREMENT, text, self._context.stamp(), readbacks, measured)
+        return checked(run, setpoint, answer, "client")
 
 
 def _check_readbacks(problem: Problem, names: Iterable[str]) -> None:
