@@ -139,6 +139,15 @@ LIVE_STAGES = (
         sources=("requirements-live.txt", "requirements.txt"),
     ),
 )
+OFFLINE_STAGES = (
+    Stage(
+        "offline",
+        "installing what campaigns of simulations need (libEnsemble)",
+        "requirements",
+        (*_PIP, "-r", "requirements-offline.txt"),
+        sources=("requirements-offline.txt", "requirements.txt"),
+    ),
+)
 # Beside the stages of a run. No run needs torch, which is as large as all the rest.
 DEVELOPMENT_STAGES = (
     Stage(

@@ -11,6 +11,7 @@ from pathlib import Path
 from launcher.environment import (
     DEVELOPMENT_STAGES,
     LIVE_STAGES,
+    OFFLINE_STAGES,
     PAGE_STAGES,
     STAGES,
     clean_environment,
@@ -58,7 +59,8 @@ def test(root: Path, arguments: list[str]) -> int:
     Raises:
         SetupError, Interrupted, OSError
     """
-    with open_project(root, (*STAGES, *PAGE_STAGES, *LIVE_STAGES, *DEVELOPMENT_STAGES)) as project:
+    stages = (*STAGES, *PAGE_STAGES, *LIVE_STAGES, *OFFLINE_STAGES, *DEVELOPMENT_STAGES)
+    with open_project(root, stages) as project:
         process = project.processes.start(
             [str(project.environment.python), "-m", "pytest", *(arguments or _PARALLEL_TESTS)],
             environment=clean_environment(**THREADS, MPLBACKEND="Agg"),

@@ -26,12 +26,13 @@ ROOMS = {
     "bridge": ("ros", "machine"),
     "runs": ("core",),
     "tuner": ("core", "ros", "runs"),
+    "offline": ("core", "runs"),
     "client": ("core", "ros", "runs"),
     "displays": ("core", "machine", "client"),
     "page": ("core", "ros", "client", "displays"),
     "nodes": ("core", "ros", "machine", "bridge", "runs", "tuner", "client", "displays", "page"),
 }
-WITHOUT_ROS = ("core", "runs")
+WITHOUT_ROS = ("core", "runs", "offline")
 # Modules of others that are not made for everybody, and the one module that may use each.
 WRAPPED = {
     "rosbags.rosbag2.storage_mcap": "mobo_tuner/runs/bag.py",

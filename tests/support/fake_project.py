@@ -14,7 +14,13 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from launcher.environment import DEVELOPMENT_STAGES, PAGE_STAGES, STAGES, Environment
+from launcher.environment import (
+    DEVELOPMENT_STAGES,
+    OFFLINE_STAGES,
+    PAGE_STAGES,
+    STAGES,
+    Environment,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 TIMEOUT = 20.0  # [s] for anything to happen
@@ -138,7 +144,7 @@ class FakeProject:
         shutil.copytree(ROOT / "launcher", root / "launcher")
         (root / "config").mkdir()
         (root / "config" / "awa.yaml").write_text("/**: {}\n")
-        stages = (*STAGES, *PAGE_STAGES, *DEVELOPMENT_STAGES)
+        stages = (*STAGES, *PAGE_STAGES, *OFFLINE_STAGES, *DEVELOPMENT_STAGES)
         for source in {source for stage in stages for source in stage.sources}:
             (root / source).mkdir(parents=True) if "/" in source else (root / source).touch()
         player = root / "player.py"

@@ -109,6 +109,8 @@ MODULES = {
     "MarkupSafe": "markupsafe",
     "PyYAML": "yaml",
     "backports.zstd": "backports",
+    "foxglove-sdk": "foxglove",
+    "gest-api": "gest_api",
 }
 """Top-level module of each package of PyPI whose name differs."""
 ROSDEP = {
@@ -129,6 +131,7 @@ WITHOUT_KEY = {
     "torch": "awa_sim_node[training]",
     "nicegui": "pip install nicegui==3.18.0",
     "foxglove": "pip install foxglove-sdk==0.30.3",
+    "gest_api": "pip install gest-api==0.2",
 }
 """How each is installed, in README.md of the package."""
 WITH_OTHERS = {  # rosbags, Jinja2 and NiceGUI require them
@@ -148,6 +151,7 @@ EXTRA_OF = {
         "runs/export.py": ["tuner", "export"],
         "runs/report": ["report"],
         "displays": ["console"],
+        "offline": ["tuner", "offline"],
         "nodes/bags.py": ["recorder"],
         "page": ["page"],
         "nodes/recorder.py": ["recorder"],
@@ -193,7 +197,7 @@ def declared(wheel: zipfile.ZipFile, package: str) -> dict[str, set[str]]:
     text = wheel.read(f"{package}-1.0.0.dist-info/METADATA").decode()
     found: dict[str, set[str]] = {"": set()}
     for line in email.message_from_string(text).get_all("Requires-Dist", []):
-        name = re.match(r"[\w.]+", line)
+        name = re.match(r"[\w.-]+", line)
         extra = re.search(r'extra == "(\w+)"', line)
         assert name
         module = MODULES.get(name[0], name[0])
@@ -273,7 +277,7 @@ def test_the_oldest_versions_allowed_are_those_that_are_tested(
         for name, bound in required:
             if name in ("mobo_tuner", "pytest", "torch"):  # ours, a tool, unused
                 continue
-            if name in ("foxglove-sdk", "nicegui", "rosbags"):  # one version alone
+            if name in ("foxglove-sdk", "gest-api", "nicegui", "rosbags"):  # one version alone
                 continue
             assert bound.startswith(">="), f"setup.py of {package} has no lower bound of {name}"
             if name in tested:

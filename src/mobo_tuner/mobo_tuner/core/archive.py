@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,7 @@ class Archive:
         dataset: Evaluations so far.
         models: Models as of the last `update`.
         initial_evaluations: Number of points of the initial design.
+        expected: Number of the last evaluations that are predictions, see `expecting`.
         hypervolume_measured: Hypervolume of the complete readings as they are, in the product of the
             objectives' units.
     """
@@ -51,6 +53,7 @@ class Archive:
         self.dataset = Dataset(problem)
         self.models = Models(problem, settings, seed, prior_means)
         self.initial_evaluations = settings.initial_evaluations or 2 * (len(problem.variables) + 1)
+        self.expected = 0
         self.hypervolume_measured = 0.0
         self._settings = settings
         self._seed = seed
@@ -99,6 +102,25 @@ class Archive:
         self._extended = None
         if trained and not (was_certain and self.is_certain):
             self._forget_belief()
+
+    def expecting(self, setpoint: Mapping[str, float]) -> Archive:
+        """Return an archive as if an evaluation at the set-point had read what the models predict.
+
+        Its models have the hyperparameters of this one's last training. This archive is updated, and
+        stays as it is otherwise.
+        """
+        with single_blas_thread():
+            self.update()
+            other = copy(self)
+            other.dataset = self.dataset.copy()
+            predicted = self.models.predicted(self.problem.normalize(setpoint))
+            other.dataset.add(setpoint, predicted, failed=False)
+            other.expected += 1
+            other.models = self.models.expecting(other.dataset)
+            other._forget_belief()
+            if other.problem.has_references:
+                other._pack(other.models.trained_rows)
+        return other
 
     def _infer_references(self) -> None:
         """Fill in what the reference point lacks, once and for all, when the initial design is done."""

@@ -28,7 +28,7 @@ from mobo_tuner.core.hypervolume import BoxDecomposition
 from mobo_tuner.core.initial_design import initial_design
 from mobo_tuner.core.problem import Array
 from mobo_tuner.core.proximal import ProximalBiasing
-from mobo_tuner.core.resolution import Taken, taken
+from mobo_tuner.core.resolution import SAME, Taken, taken
 from mobo_tuner.core.scalarisation import WeightedSum
 from mobo_tuner.core.settings import OptimizerSettings
 
@@ -70,7 +70,10 @@ class CandidateSearch:
         )
         point: Array = np.asarray(design[index])
         used = taken(self._data)
-        if used.contains(point[None])[0] and self._models.trusts_readings(self._data):
+        # After a pending set-point was cancelled, that of another one has this index.
+        pending = self._data.targets[len(self._data) - self._archive.expected :]
+        again = used.contains(point[None])[0] and self._models.trusts_readings(self._data)
+        if again or (np.abs(pending - point) <= SAME).all(axis=1).any():
             rng = np.random.default_rng([self._seed, 4, index])
             return explore(self._data.inputs, used, rng, domain=self._problem.domain)
         return point

@@ -85,6 +85,13 @@ class Dataset:
     def __len__(self) -> int:
         return len(self.evaluations)
 
+    def copy(self) -> Dataset:
+        """Return a dataset with the same evaluations, to which others can be added."""
+        other = Dataset(self.problem)
+        other.evaluations = list(self.evaluations)
+        other._inputs, other._targets = list(self._inputs), list(self._targets)
+        return other
+
     def add(
         self,
         setpoint: Mapping[str, float],

@@ -251,6 +251,23 @@ class Models:
             other.update(data)
         return other
 
+    def predicted(self, x: Array) -> dict[str, float]:
+        """Return the mean of every output that was measured at least once, at x ``(d,)``, in its unit."""
+        return {
+            name: self._signs.get(name, 1.0) * float(process.predict(x[None])[0][0])
+            for name, process in self._processes.items()
+            if process.n
+        }
+
+    def expecting(self, data: Dataset) -> Models:
+        """Return models that also hold the last evaluations of `data`, which are predictions.
+
+        The hyperparameters stay, and so does what is known of failures, of which they say nothing.
+        """
+        other = copy(self.extended(data))
+        other.validity, other._judged = self.validity, len(data)
+        return other
+
     def update(self, data: Dataset) -> bool:
         """Learn the evaluations that are new, training when it is time to.
 

@@ -10,8 +10,9 @@ import math
 import warnings
 from collections.abc import Mapping
 from difflib import get_close_matches
+from functools import reduce
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from mobo_tuner.core.optimizer_state import (
 )
 from mobo_tuner.core.predicted_front import predict_front
 from mobo_tuner.core.problem import Problem, ProblemError
+from mobo_tuner.core.resolution import SAME
 from mobo_tuner.core.settings import make_settings
 
 Source = Literal["initial", "model"]
@@ -88,6 +90,7 @@ class Optimizer:
         self._prior_means = prior_means
         self._last_source: Source = "initial"
         self._told: set[str] = set()  # outputs that were told, or are known to be misspelt
+        self._pending: list[dict[str, float]] = []
 
     @property
     def problem(self) -> Problem:
@@ -177,6 +180,7 @@ class Optimizer:
                 a number; nothing is learned.
         """
         evaluation = self.archive.tell(setpoint, outputs, readbacks, failed, time)
+        self._no_longer_pending(setpoint)
         self._warn_of_misspelt(outputs)
         return evaluation
 
@@ -232,13 +236,86 @@ class Optimizer:
         """
         return hints(self.dataset, self.archive.belief)
 
-    def ask(self) -> dict[str, float]:
-        """Return the set-point to evaluate next, in physical units and inside the bounds."""
-        told = len(self.dataset)
-        search = self._search()
-        if told < self.initial_evaluations:
+    @overload
+    def ask(self) -> dict[str, float]: ...
+
+    @overload
+    def ask(self, count: int) -> list[dict[str, float]]: ...
+
+    def ask(self, count: int | None = None) -> dict[str, float] | list[dict[str, float]]:
+        """Return the set-point to evaluate next, or several that are worth measuring together.
+
+        A batch is chosen one by one, each as if those before it, and all others that are pending, had
+        read what the models predict (the "Kriging believer" of [Ginsbourger2010]_). Its set-points are
+        pending until they are told or cancelled.
+
+        Args:
+            count: Number of set-points of a batch; None for a single one, which does not become
+                pending.
+
+        Returns:
+            Every variable in physical units and inside the bounds: one mapping, or a list of `count`.
+
+        Raises:
+            ProblemError: If the count is not an integer of at least 1.
+
+        .. [Ginsbourger2010] D. Ginsbourger, R. Le Riche, L. Carraro, "Kriging is well-suited to
+           parallelize optimization", Computational Intelligence in Expensive Optimization Problems,
+           Springer 2010.
+        """
+        if count is None:
+            return self._next(self._expecting_pending())
+        if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+            raise ProblemError(f"count is {count!r}; an integer of at least 1 is allowed")
+        batch: list[dict[str, float]] = []
+        archive = self._expecting_pending()
+        while len(batch) < count:
+            if batch:
+                archive = archive.expecting(batch[-1])
+            batch.append(self._next(archive))
+            self._pending.append(batch[-1])
+        return [dict(setpoint) for setpoint in batch]
+
+    @property
+    def pending(self) -> list[dict[str, float]]:
+        """Set-points of batches that were neither told nor cancelled yet, in the order of asking."""
+        return [dict(setpoint) for setpoint in self._pending]
+
+    def cancel(self, setpoint: Mapping[str, float]) -> None:
+        """Take back a pending set-point that will not be evaluated.
+
+        Args:
+            setpoint: Every variable, in physical units.
+
+        Raises:
+            ProblemError: If it is not pending.
+        """
+        if not self._no_longer_pending(setpoint):
+            raise ProblemError(f"the set-point {dict(setpoint)} is not pending")
+
+    def _no_longer_pending(self, setpoint: Mapping[str, float]) -> bool:
+        """Remove a set-point from the pending ones; return whether it was one."""
+        if not self._pending:
+            return False
+        pending = np.array([self.problem.normalize(each) for each in self._pending])
+        distances = np.abs(pending - self.problem.normalize(setpoint)).max(axis=1)
+        nearest = int(distances.argmin())
+        if distances[nearest] > SAME:
+            return False
+        del self._pending[nearest]
+        return True
+
+    def _expecting_pending(self) -> Archive:
+        """Return the archive as if all pending set-points had read what the models predict."""
+        return reduce(Archive.expecting, self._pending, self.archive)
+
+    def _next(self, archive: Archive) -> dict[str, float]:
+        """Return the next set-point by what an archive knows or expects."""
+        search = CandidateSearch(archive, self.settings, self.seed)
+        index = len(archive.dataset)
+        if index < self.initial_evaluations:
             self._last_source = "initial"
-            return self.problem.denormalize(search.initial_point(told))
+            return self.problem.denormalize(search.initial_point(index))
         self._last_source = "model"
         with single_blas_thread():
             return self.problem.denormalize(search.candidate())
@@ -380,6 +457,7 @@ class Optimizer:
             other.tell(e.setpoint, outputs, e.readbacks, e.reported_failed, e.time)
         for index, name in self.dataset.withdrawn:
             other.forget(index, name)
+        other._pending = self.pending
 
     # ------------------------------------------------------------------ state
 
@@ -395,6 +473,7 @@ class Optimizer:
             "problem": self._given.to_dict(),
             "settings": self.settings.to_dict(),
             "seed": self.seed,
+            "pending": self.pending,
             **self.archive.get_state(),
         }
         if with_evaluations:
@@ -424,6 +503,9 @@ class Optimizer:
             for evaluation in told_evaluations(state):
                 restored.tell(*evaluation)
             restored.archive.set_state(state)
+            for setpoint in state.get("pending", []):  # there were none before there were batches
+                restored.problem.normalize(setpoint)
+                restored._pending.append(dict(setpoint))
             return restored
 
     def save(self, path: str | Path) -> None:

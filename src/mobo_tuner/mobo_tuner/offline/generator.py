@@ -1,0 +1,144 @@
+"""The optimiser as a generator of gest-api, for the loops of libEnsemble, optimas and Xopt."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from gest_api import Generator
+from gest_api.vocs import VOCS
+
+from mobo_tuner.core import Optimizer, Problem, ProblemError
+from mobo_tuner.core.values import as_float
+from mobo_tuner.offline.vocs import problem_of, vocs_of
+
+ID = "_id"
+"""Key of a suggested point's identifier, by gest-api."""
+
+
+class _Result(NamedTuple):
+    """One evaluated point."""
+
+    id: int | None
+    setpoint: dict[str, float]
+    outputs: dict[str, float]
+
+
+class MoboGenerator(Generator):  # type: ignore[misc]  # gest-api has no types
+    """Suggests points and ingests their evaluations, in any order and in batches of any size.
+
+    Args:
+        vocs: Problem as a VOCS, or as a `Problem`, which can say more: units, limits between variables,
+            a truncation box.
+        references: Reference point of a VOCS, by objective; those left out are inferred from the
+            evaluations.
+        batch_size: Number of points that `suggest` returns where none is asked for.
+        preset: Preset of the optimiser, see `Optimizer`.
+        seed: Seed of every random choice.
+        overrides: Single choices in place of the preset's, see `core.settings.OptimizerSettings`.
+
+    Raises:
+        ProblemError: If the VOCS has something that a problem cannot have, or a choice is not allowed;
+            it is a `ValueError`.
+
+    Attributes:
+        vocs: Problem as a VOCS.
+        optimizer: Optimiser, which has the front, the hypervolume and the models.
+
+    Examples:
+        >>> from gest_api.vocs import VOCS
+        >>> vocs = VOCS(
+        ...     variables={"x": [0.0, 1.0]}, objectives={"f": "MINIMIZE", "g": "MINIMIZE"}
+        ... )
+        >>> generator = MoboGenerator(vocs, references={"f": 1.0, "g": 1.0})
+        >>> points = generator.suggest(4)
+        >>> for point in points:
+        ...     point.update(f=point["x"], g=1.0 - point["x"] ** 0.5)
+        >>> generator.ingest(points)
+        >>> 0.0 < generator.optimizer.hypervolume < 5.0 / 6.0
+        True
+    """
+
+    returns_id = True
+
+    def __init__(
+        self,
+        vocs: VOCS | Problem,
+        references: Mapping[str, float] = {},
+        batch_size: int = 1,
+        preset: str = "default",
+        seed: int = 0,
+        **overrides: Any,
+    ) -> None:
+        super().__init__(vocs)
+        if isinstance(batch_size, bool) or not isinstance(batch_size, int) or batch_size < 1:
+            raise ProblemError(f"batch_size is {batch_size!r}; an integer of at least 1 is allowed")
+        problem = vocs if isinstance(vocs, Problem) else problem_of(vocs, references)
+        self.vocs = vocs_of(vocs) if isinstance(vocs, Problem) else vocs
+        self.optimizer = Optimizer(problem, preset, seed, **overrides)
+        self._batch_size = batch_size
+        self._fixed = {v.name: v.fixed for v in problem.variables if v.fixed is not None}
+        self._next_id = 0
+        self._suggested: dict[int, dict[str, float]] = {}
+
+    def _validate_vocs(self, vocs: VOCS | Problem) -> None:
+        if not isinstance(vocs, Problem):
+            problem_of(vocs)
+
+    def suggest(self, num_points: int | None = None) -> list[dict[str, Any]]:
+        """Return points to evaluate, each with every variable, every constant and an `_id`.
+
+        Args:
+            num_points: Number of points; None for the size of a batch.
+
+        Raises:
+            ProblemError: If the number is not an integer of at least 1.
+        """
+        points: list[dict[str, Any]] = []
+        constants = {name: constant.value for name, constant in self.vocs.constants.items()}
+        count = self._batch_size if num_points is None else int(num_points)
+        for setpoint in self.optimizer.ask(count):
+            self._suggested[self._next_id] = setpoint
+            points.append({**setpoint, **constants, ID: self._next_id})
+            self._next_id += 1
+        return points
+
+    def ingest(self, results: Sequence[Mapping[str, Any]]) -> None:
+        """Learn evaluated points, also such as were never suggested.
+
+        A point of which no objective and no constraint has a finite value counts as failed.
+
+        Args:
+            results: For each point its variables, its outputs and, if it was suggested, its `_id`.
+
+        Raises:
+            ProblemError: If an `_id` is unknown or was ingested before, a variable is missing or a
+                value is not a number; nothing is learned then.
+        """
+        read = [self._read(result) for result in results]
+        known = [result.id for result in read if result.id is not None]
+        for each in known:
+            if each not in self._suggested or known.count(each) > 1:
+                raise ProblemError(f"{ID} is {each}; no pending point has it, or two results do")
+        for result in read:
+            if result.id is not None:
+                suggested = self._suggested.pop(result.id)
+                if suggested in self.optimizer.pending:
+                    self.optimizer.cancel(suggested)
+            self.optimizer.tell(result.setpoint, result.outputs)
+
+    def _read(self, result: Mapping[str, Any]) -> _Result:
+        """Return one result with its numbers as floats, if it fits the problem."""
+        problem = self.optimizer.problem
+        setpoint = {
+            v.name: as_float(v.name, result.get(v.name, self._fixed.get(v.name)))
+            for v in problem.variables
+        }
+        problem.normalize(setpoint)
+        outputs = {
+            name: as_float(name, result[name])
+            for name in self.vocs.output_names
+            if result.get(name) is not None
+        }
+        identifier = result.get(ID)
+        return _Result(None if identifier is None else int(identifier), setpoint, outputs)
