@@ -4,6 +4,7 @@
     python3 mobo.py run          set up, start the nodes, tune, record, report, stop the nodes
     python3 mobo.py test         set up and run the tests
     python3 mobo.py check FILE   print what a parameter file means, without starting anything
+    python3 mobo.py new FILE     write a parameter file from what a machine has
     python3 mobo.py layout FILE  write layouts for Lichtblick, Foxglove and PlotJuggler
     python3 mobo.py list         list the runs
     python3 mobo.py show RUN     print the result of a run
@@ -45,6 +46,7 @@ ROOT = Path(__file__).resolve().parent
 VERBS = {
     "run": run.run,
     "check": verbs.check,
+    "new": verbs.new,
     "layout": verbs.layout,
     "list": verbs.list_runs,
     "show": verbs.show,

@@ -144,6 +144,30 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
         help="folder for them (default: the current one)",
     )
 
+    new = add("new", "write a parameter file from what a machine has")
+    new.add_argument("config", metavar="FILE", type=Path, help="file to write; it must not exist")
+    new.add_argument(
+        "--like", metavar="FILE", type=Path, help="parameter file whose section chooses the machine"
+    )
+    _add_machine(new, "one that is there already")
+    for direction in ("minimize", "maximize"):
+        new.add_argument(
+            f"--{direction}",
+            metavar="NAME",
+            nargs="+",
+            default=[],
+            help=f"diagnostics to {direction} (default: the first one is minimized)",
+        )
+    new.add_argument(
+        "--around",
+        metavar="WIDTH",
+        default="",
+        help="bounds around the present values: a number, or a share such as '10 %%' "
+        "(default: the machine's limits)",
+    )
+    add_domain_id(new, "a free one; if the machine is already there, ROS_DOMAIN_ID or 0")
+    new.set_defaults(network=False)
+
     for name, what in STEERING.items():
         subparsers.add_parser(name, help=what)
     subparsers.add_parser(LIVE, help="serve the run to Lichtblick, Foxglove or PlotJuggler")

@@ -78,7 +78,12 @@ class Project:
         return os.pathsep.join((str(self.environment.python.parent), inherited))
 
     def ask(
-        self, module: str, *arguments: object, show: bool = False, timeout: float = ANSWER_TIMEOUT
+        self,
+        module: str,
+        *arguments: object,
+        show: bool = False,
+        timeout: float = ANSWER_TIMEOUT,
+        surroundings: Mapping[str, str] | None = None,
     ) -> str:
         """Run one of the programs and return what it prints.
 
@@ -89,6 +94,7 @@ class Project:
             arguments: Arguments of the program.
             show: Whether it prints to this script's output, so that nothing is returned.
             timeout: Longest time that it may take [s].
+            surroundings: Environment variables by which it finds ROS nodes.
 
         Raises:
             UsageError: If something is wrong.
@@ -97,7 +103,7 @@ class Project:
         with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as complaint:
             process = self.processes.start(
                 [str(self.environment.python), "-P", "-m", module, *map(str, arguments)],
-                environment=clean_environment(**THREADS, MPLBACKEND="Agg"),
+                environment=clean_environment(**THREADS, MPLBACKEND="Agg", **(surroundings or {})),
                 cwd=Path.cwd(),
                 stdout=None if show else output,
                 stderr=complaint,

@@ -85,7 +85,7 @@ def run(options: argparse.Namespace) -> None:
             machine = Machine(command=options.machine or "")
             checked = _check(project, config, Path(scratch), machine)
             _check_speed(options, checked.machine)
-            domain = _open_domain(options, checked.machine)
+            domain = open_domain(options, checked.machine)
             folder = RunFolder.create(runs_dir, options.run_id, config.stem)
             folder.adopt(checked.copies)
         with domain:
@@ -117,7 +117,7 @@ def resume(options: argparse.Namespace) -> None:
             if options.speed is None and "speed" in checked.machine.options:
                 options.speed = arguments.get("speed")
             was_external = Machine.from_facts(facts).facts == checked.machine.facts
-            domain = _open_domain(
+            domain = open_domain(
                 options, checked.machine, facts.get("domain_id") if was_external else None
             )
             folder = RunFolder.create_after(earlier, options.run_id)
@@ -236,10 +236,10 @@ def _check_speed(options: argparse.Namespace, machine: Machine) -> None:
         raise UsageError(f"--speed is {options.speed:g}; only a simulated machine has a speed")
 
 
-def _open_domain(
+def open_domain(
     options: argparse.Namespace, machine: Machine, earlier: int | None = None
 ) -> RosDomain:
-    """Reserve the ROS domain of a run: a separate one, or that of its machine.
+    """Reserve the ROS domain of a machine: a separate one, or that of its machine.
 
     Raises:
         DomainError: If it is reserved.

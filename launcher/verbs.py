@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import shutil
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -17,9 +19,10 @@ from launcher.environment import (
     clean_environment,
 )
 from launcher.errors import LauncherError, RunFolderError, UsageError
+from launcher.machine import Machine, split_command
 from launcher.processes import Interrupted
 from launcher.programs import LONG, THREADS, open_project
-from launcher.run import check_arguments, now
+from launcher.run import check_arguments, now, open_domain
 from launcher.run_folder import JOURNAL_FILE, RunFolder, is_bag, table
 from launcher.supervisor import EXIT_LIMIT
 
@@ -51,6 +54,52 @@ def layout(options: argparse.Namespace) -> None:
     with open_project(options.root) as project:
         module = "mobo_tuner.displays.layouts"
         project.ask(module, options.config, "--output", options.output, show=True)
+
+
+def new(options: argparse.Namespace) -> None:
+    """Write a parameter file from what a machine has, whose path is printed.
+
+    The machine is that of another file, a program that is started for the purpose, or there already.
+
+    Raises:
+        UsageError, SetupError, DomainError, Interrupted, OSError
+    """
+    if options.config.exists():
+        raise UsageError(f"'{options.config}' exists already, and nothing is written over it")
+    if options.like is not None and options.machine:
+        raise UsageError("--like and --machine both choose a machine; one of the two is allowed")
+    if options.like is not None and not options.like.is_file():
+        raise UsageError(f"the configuration '{options.like}' is not a file")
+    module, arguments = "mobo_tuner.nodes.new_config", [options.config, *_wishes(options)]
+    with open_project(options.root) as project:
+        if options.like is not None:
+            arguments += [f"--like={options.like}", *check_arguments("")]
+            project.ask(module, *arguments)
+        else:
+            machine = Machine(command=options.machine or "")
+            machine.check_program(project.search_path)
+            with open_domain(options, machine) as domain:
+                if machine.command:
+                    project.processes.start(
+                        split_command(machine.command),
+                        environment=clean_environment(
+                            **domain.environment, **THREADS, PATH=project.search_path
+                        ),
+                        cwd=machine.folder,
+                        stdout=subprocess.DEVNULL,
+                    )
+                    arguments.append(f"--how=--machine {shlex.quote(machine.command)}")
+                project.ask(module, *arguments, surroundings=domain.environment)
+    print(options.config)
+
+
+def _wishes(options: argparse.Namespace) -> list[str]:
+    """Return the arguments that say what the file is about."""
+    words = [f"--around={options.around}"] if options.around else []
+    for direction in ("minimize", "maximize"):
+        names = getattr(options, direction)
+        words += [f"--{direction}", *names] if names else []
+    return words
 
 
 def test(root: Path, arguments: list[str]) -> int:

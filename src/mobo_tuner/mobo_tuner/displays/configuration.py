@@ -119,9 +119,10 @@ def _derived(derived: Derived) -> tuple[str, str]:
 
 
 def _objective(objective: Objective) -> tuple[str, str]:
-    text = (
-        f"{objective.direction}, reference {_quantity(f'{objective.reference:g}', objective.unit)}"
-    )
+    reference = _quantity(f"{objective.reference:g}", objective.unit)
+    if math.isinf(objective.reference):
+        reference = "inferred from the first evaluations"
+    text = f"{objective.direction}, reference {reference}"
     if objective.truncation is not None:
         low, high = objective.truncation
         text += f", truncated to {_quantity(f'{low:g} to {high:g}', objective.unit)}"
