@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,11 @@ from awa_sim_node.surrogate import Surrogate
 from awa_sim_node.surrogate import metadata as surrogate_metadata
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.core.hypervolume import hypervolume
+from mobo_tuner.core.models import PriorMean
 from mobo_tuner.core.pareto import FloatArray
 
 CACHE = Path(__file__).resolve().parent / ".cache"
+AWA_OUTPUTS = ("sigma_x", "sigma_y", "sigma_z", "eps_x", "eps_y", "eps_z", "dE")
 AWA_CONFIG = Path(__file__).resolve().parent.parent / "config" / "awa.yaml"
 SURROGATE_FOLDER = Path(surrogate_metadata.__file__).parent
 
@@ -112,6 +115,30 @@ def resume(
     return Run(optimizer, np.array(hypervolumes), np.array(asks), np.array(cpu), seconds)
 
 
+PERFECT: dict[str, Any] = {"acquisition": "ucb_hvi", "beta": 0.0}
+"""Settings of the greedy method with perfect knowledge: the largest improvement by the prior means."""
+
+
+def prior_means(benchmark: Benchmark) -> dict[str, PriorMean]:
+    """Return the true objectives as prior means: the models then know everything.
+
+    No method that only looks one evaluation ahead can do much better: the limit in plots of convergence.
+    """
+    problem = benchmark.problem
+    low, high = np.array([(v.minimum, v.maximum) for v in problem.variables]).T
+    known: tuple[FloatArray, FloatArray] = (np.empty((0, 0)), np.empty((0, 0)))
+
+    def mean(columns: Mapping[str, FloatArray], j: int) -> FloatArray:
+        nonlocal known
+        setpoints = np.stack([columns[name] for name in problem.variable_names], axis=1)
+        if not np.array_equal(known[0], setpoints):  # all objectives are asked one after the other
+            normalised = 2.0 * (setpoints - low) / (high - low) - 1.0
+            known = setpoints, benchmark.objectives(normalised)
+        return known[1][:, j]
+
+    return {name: partial(mean, j=j) for j, name in enumerate(problem.objective_names)}
+
+
 def first_reaching(hypervolumes: FloatArray, enough: float) -> int | None:
     """Return the number of evaluations after which the hypervolume is at least `enough`, or None."""
     reached = np.flatnonzero(hypervolumes >= enough)
@@ -169,34 +196,65 @@ def dtlz2(n_objectives: int = 3, n_variables: int = 6) -> Benchmark:
     return Benchmark(Problem.from_dict(definition), objectives, reference**n_objectives - ball)
 
 
-def awa() -> Benchmark:
+def awa(kept: Sequence[str] = (), limit: float | None = None, preferred: bool = False) -> Benchmark:
     """Return the AWA surrogate with six variables and seven objectives, as in the paper's section sec:accelerator.
 
     The reference point is the highest value of each objective. In the benchmark's unit, the hypervolume is that of
     objectives scaled to [-1, 1] with reference point 1; the whole box has 2^7.
+
+    Args:
+        kept: Names of the objectives in place of all seven.
+        limit: Limit of dE [MeV], if there is one.
+        preferred: Whether the limit is a preference (truncation) of the objective dE; otherwise it is a constraint in
+            its place.
     """
     config = Problem.from_yaml(AWA_CONFIG)
-    names = config.objective_names
     ranges = surrogate_metadata.output_ranges()
+    objectives_of = {
+        name: {"reference": float(ranges[name][1])} for name in kept or config.objective_names
+    }
+    definition: dict[str, Any] = {
+        "variables": {v: {"min": a, "max": b} for v, (a, b) in _limits(config).items()},
+        "objectives": objectives_of,
+    }
+    if limit is not None and preferred:
+        definition["objectives"]["dE"] = {"reference": limit, "truncation": [0.0, limit]}
+    elif limit is not None:
+        del objectives_of["dE"]
+        definition["constraints"] = {"dE": {"max": limit}}
+    names = tuple(objectives_of)
     low, high = np.array([ranges[name] for name in names]).T
-    outputs = [[o.name for o in surrogate_metadata.OUTPUTS].index(name) for name in names]
-    problem = Problem.from_dict(
-        {
-            "variables": {v: {"min": a, "max": b} for v, (a, b) in _limits(config).items()},
-            "objectives": {n: {"reference": float(r)} for n, r in zip(names, high, strict=True)},
-        }
+    columns = [AWA_OUTPUTS.index(name) for name in names]
+    predict = _awa_outputs(config)
+    others = {} if preferred or limit is None else {"dE": lambda x: predict(x)[:, -1]}
+    return Benchmark(
+        Problem.from_dict(definition),
+        lambda x: predict(x)[:, columns],
+        float(np.prod(0.5 * (high - low))),
+        others,
     )
+
+
+def awa_normalised(objectives: FloatArray) -> FloatArray:
+    """Return all seven objectives `(n, 7)` of the AWA surrogate, scaled to [-1, 1] over their ranges."""
+    ranges = surrogate_metadata.output_ranges()
+    low, high = np.array([ranges[name] for name in AWA_OUTPUTS]).T
+    return np.asarray(2.0 * (objectives - low) / (high - low) - 1.0)
+
+
+def _awa_outputs(config: Problem) -> Callable[[FloatArray], FloatArray]:
+    """Return the function from normalised set-points `(n, 6)` to the outputs `(n, 7)`, as in AWA_OUTPUTS."""
     surrogate = Surrogate.load()
-    kept = [surrogate.defaults[i.name] for i in surrogate_metadata.INPUTS[len(config.variables) :]]
+    held = [surrogate.defaults[i.name] for i in surrogate_metadata.INPUTS[len(config.variables) :]]
     lower, upper = np.array(list(_limits(config).values())).T
+    outputs = [[o.name for o in surrogate_metadata.OUTPUTS].index(name) for name in AWA_OUTPUTS]
 
-    def objectives(x: FloatArray) -> FloatArray:
+    def predict(x: FloatArray) -> FloatArray:
         settings = lower + 0.5 * (np.clip(x, -1.0, 1.0) + 1.0) * (upper - lower)
-        return surrogate.predict_array(np.hstack([settings, np.tile(kept, (len(x), 1))]))[
-            :, outputs
-        ]
+        inputs = np.hstack([settings, np.tile(held, (len(x), 1))])
+        return np.asarray(surrogate.predict_array(inputs)[:, outputs])
 
-    return Benchmark(problem, objectives, float(np.prod(0.5 * (high - low))))
+    return predict
 
 
 def _limits(problem: Problem) -> dict[str, tuple[float, float]]:

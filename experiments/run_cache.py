@@ -12,6 +12,7 @@ import json
 import math
 import os
 import time
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ import numpy as np
 
 from experiments.problems import Benchmark, Run, cached, resume, surrogate_digest
 from mobo_tuner.core import Optimizer, optimizer
+from mobo_tuner.core.models import PriorMean
 
 SAVED_EVERY = 20.0  # seconds
 _CORE = Path(optimizer.__file__).parent
@@ -32,6 +34,7 @@ def cached_run(
     seed: int,
     *,
     enough: float = math.inf,
+    prior_means: Mapping[str, PriorMean] | None = None,
     **settings: Any,
 ) -> Run:
     """Do the same as `problems.run`, continuing the saved run of an earlier call with these arguments.
@@ -42,6 +45,7 @@ def cached_run(
         evaluations: Highest number of evaluations.
         seed: Seed of the optimiser.
         enough: Hypervolume at which the run ends.
+        prior_means: Prior means; the name of the benchmark must say that there are some.
         settings: Settings of the optimiser.
     """
     belongs = [name, seed, settings, core_digest(), surrogate_digest()]
@@ -49,11 +53,11 @@ def cached_run(
     path = cached(f"run-{name}-{seed}-{digest}.json")
     if path.exists():
         saved = json.loads(path.read_text(encoding="utf-8"))
-        tuned = Optimizer.from_state(saved["state"])
+        tuned = Optimizer.from_state(saved["state"], prior_means)
         curve, asks, cpu = (list(saved[key]) for key in ("hypervolumes", "asks", "cpu"))
         seconds = float(saved["seconds"])
     else:
-        tuned = Optimizer(benchmark.problem, seed=seed, **settings)
+        tuned = Optimizer(benchmark.problem, seed=seed, prior_means=prior_means, **settings)
         curve, asks, cpu, seconds = [], [], [], 0.0
 
     def save() -> None:
