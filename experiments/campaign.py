@@ -1,7 +1,7 @@
 """Runs of an experiment: planned, computed in any order, kept in one small file, and continued where they stopped.
 
-A finished run is a record in the experiment's file. Its version is a digest of the function and arguments that made it
-and of the surrogate and the core on which it depends: after a change of these, the next call computes it again and replaces it.
+A finished run is a record in the experiment's file. Its version is a digest of the function and the arguments that made
+it, the surrogate and the core: after a change of these, the next call computes it again and replaces it.
 """
 
 from __future__ import annotations
@@ -168,9 +168,7 @@ class Results:
         return f'{{\n "about": {about},\n "runs": {{\n' + ",\n".join(blocks) + "\n }\n}\n"
 
 
-def compute(
-    plan: Sequence[PlannedRun], results: Results, command: str, workers: int = 1
-) -> None:
+def compute(plan: Sequence[PlannedRun], results: Results, command: str, workers: int = 1) -> None:
     """Compute the planned runs that are missing, each of which is kept as soon as it is finished.
 
     Args:

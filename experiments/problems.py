@@ -120,7 +120,7 @@ PERFECT: dict[str, Any] = {"acquisition": "ucb_hvi", "beta": 0.0}
 
 
 def prior_means(benchmark: Benchmark) -> dict[str, PriorMean]:
-    """Return the true objectives as prior means: the models then know everything.
+    """Return the true outputs as prior means: the models then know everything.
 
     No method that only looks one evaluation ahead can do much better: the limit in plots of convergence.
     """
@@ -128,15 +128,26 @@ def prior_means(benchmark: Benchmark) -> dict[str, PriorMean]:
     low, high = np.array([(v.minimum, v.maximum) for v in problem.variables]).T
     known: tuple[FloatArray, FloatArray] = (np.empty((0, 0)), np.empty((0, 0)))
 
-    def mean(columns: Mapping[str, FloatArray], j: int) -> FloatArray:
-        nonlocal known
+    def normalised(columns: Mapping[str, FloatArray]) -> FloatArray:
         setpoints = np.stack([columns[name] for name in problem.variable_names], axis=1)
-        if not np.array_equal(known[0], setpoints):  # all objectives are asked one after the other
-            normalised = 2.0 * (setpoints - low) / (high - low) - 1.0
-            known = setpoints, benchmark.objectives(normalised)
+        return np.asarray(2.0 * (setpoints - low) / (high - low) - 1.0)
+
+    def objective(columns: Mapping[str, FloatArray], j: int) -> FloatArray:
+        nonlocal known
+        x = normalised(columns)
+        if not np.array_equal(known[0], x):  # all objectives are asked one after the other
+            known = x, benchmark.objectives(x)
         return known[1][:, j]
 
-    return {name: partial(mean, j=j) for j, name in enumerate(problem.objective_names)}
+    means: dict[str, PriorMean] = {
+        name: partial(objective, j=j) for j, name in enumerate(problem.objective_names)
+    }
+
+    def other(columns: Mapping[str, FloatArray], name: str) -> FloatArray:
+        assert benchmark.others is not None
+        return benchmark.others[name](normalised(columns))
+
+    return means | {name: partial(other, name=name) for name in benchmark.others or {}}
 
 
 def first_reaching(hypervolumes: FloatArray, enough: float) -> int | None:

@@ -3,8 +3,8 @@
 One beam is tracked with different meshes, numbers of particles, step lengths and seeds. Each line is the difference
 from the result at the data set's resolution in per cent; the last line is the standard deviation over the seeds.
 
-    python -m experiments.convergence
-    python -m experiments.convergence --K2 270 --G1 61
+    python -m experiments.simulation_convergence
+    python -m experiments.simulation_convergence --K2 270 --G1 61
 """
 
 from __future__ import annotations

@@ -28,7 +28,8 @@ def plan(size: Size) -> list[PlannedRun]:
             f"{preset} {case}",
             seed,
             tune,
-            {"evaluations": n, "preset": preset, "case": case} | (quick if preset == "paper" else {}),
+            {"evaluations": n, "preset": preset, "case": case}
+            | (quick if preset == "paper" else {}),
         )
         for seed in size.seeds_of(10)
         for preset in ("default", "paper")
@@ -105,4 +106,4 @@ def draw(results: Results) -> Figure:
     return figure
 
 
-EXPERIMENT = Experiment(plan, compare, draw)
+EXPERIMENT = Experiment("AWA: preference, constraint and no limit on dE", plan, compare, draw)

@@ -44,9 +44,7 @@ def plan(size: Size) -> list[PlannedRun]:
     serial = {"evaluations": size.number(500, 40)}
     total = {"evaluations": size.number(NSGA2_EVALUATIONS, 60), "plotted": size.number(500, 40)}
     quick = {"quick": True} if size.quick else {}
-    runs = [
-        PlannedRun("random", s, search_randomly, serial, uses_core=False) for s in seeds
-    ]
+    runs = [PlannedRun("random", s, search_randomly, serial, uses_core=False) for s in seeds]
     runs += [PlannedRun("nsga2", s, evolve, total, uses_core=False) for s in seeds]
     perfect = {"evaluations": size.number(150, 4)}
     for s in seeds:  # seed by seed, so that what is finished can be compared
@@ -79,9 +77,9 @@ def compare(results: Results) -> list[Row]:
     if np.isfinite(target):
         every = [record["later"][-1] for record in results.records("nsga2")]
         total = every[0][0]
-        values = mean_and_spread(np.array([value for _, value, _ in every]))
+        final = mean_and_spread(np.array([value for _, value, _ in every]))
         claim = "what UCB-HVI has after 500"
-        rows.append(Row(f"NSGA-II after {total} evaluations", claim, values))
+        rows.append(Row(f"NSGA-II after {total} evaluations", claim, final))
         for label in ("paper", "default", "perfect", "inn"):
             rows += _needed(results.records(label), METHODS[label][0], target, total)
     for label in ("paper", "default", "inn", "nsga2"):
@@ -122,7 +120,10 @@ def _needed(records: list[Record], title: str, target: float, total: int) -> lis
     if not counts:
         return []
     found = [count for count in counts if count is not None]
-    text = ", ".join(str(count or f"> {len(r['hypervolumes'])}") for count, r in zip(counts, records, strict=True))
+    text = ", ".join(
+        str(count or f"> {len(r['hypervolumes'])}")
+        for count, r in zip(counts, records, strict=True)
+    )
     if found and len(found) == len(counts):
         text += f"; factor {total / np.mean(found):.0f}"
     claim = "500; factor 35" if title == "UCB-HVI" else "–"
@@ -140,7 +141,9 @@ def draw(results: Results) -> Figure:
     for label in ("nsga2", "inn", "default", "paper"):
         if record := results.runs.get(label, {}).get(PICTURED):
             points = _projected(record)[:BEFORE]
-            draw_front(axes, points, METHODS[label][1], METHODS[label][0].removesuffix(", measured"))
+            draw_front(
+                axes, points, METHODS[label][1], METHODS[label][0].removesuffix(", measured")
+            )
     axes.legend()
     _draw_growth(panels["c"], results)
     return figure
@@ -187,7 +190,9 @@ def _draw_growth(axes: Axes, results: Results) -> None:
     axes.legend(loc="lower left")
     for view, title, at in zip(insets, ("(i)", "(ii)"), _places(points), strict=True):
         width = 0.12 * np.ptp(projected_front(points), axis=0) + 1e-6
-        view.set(xlim=(at[0] - width[0], at[0] + width[0]), ylim=(at[1] - width[1], at[1] + width[1]))
+        view.set(
+            xlim=(at[0] - width[0], at[0] + width[0]), ylim=(at[1] - width[1], at[1] + width[1])
+        )
         view.set(xticks=[], yticks=[])
         view.set_title(title, fontsize=8, pad=2.0)
         axes.indicate_inset_zoom(view, edgecolor="gray")
@@ -220,4 +225,4 @@ def _projected(record: Record) -> FloatArray:
     return np.stack([record["dE"], record["eps_x"]], axis=1)
 
 
-EXPERIMENT = Experiment(plan, compare, draw)
+EXPERIMENT = Experiment("AWA: hypervolume against evaluations of all methods, and projected fronts", plan, compare, draw)

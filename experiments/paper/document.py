@@ -1,4 +1,4 @@
-"""The tables in docs/paper.md, which lay the paper's claims beside the results in experiments/results/paper."""
+"""Pictures and tables in docs/paper.md, which lay the paper's claims beside the results in experiments/results/paper."""
 
 from __future__ import annotations
 
@@ -12,10 +12,13 @@ DOCUMENT = ROOT / "docs" / "paper.md"
 _TABLE = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
-def table(experiment: Experiment, results: Results) -> str:
-    """Return the table of an experiment, and a line that says how its numbers were made."""
-    lines = ["", "| | the paper | here |", "|---|---|---|"]
-    lines += [f"| {row.quantity} | {row.paper} | {row.ours} |" for row in experiment.compare(results)]
+def part(name: str, experiment: Experiment, results: Results) -> str:
+    """Return picture and table of an experiment, and a line that says how its numbers were made."""
+    lines = ["", f"![{experiment.caption}](images/paper_{name}.png)", ""]
+    lines += ["| | the paper | here |", "|---|---|---|"]
+    lines += [
+        f"| {row.quantity} | {row.paper} | {row.ours} |" for row in experiment.compare(results)
+    ]
     about, versions = results.about, results.about["versions"]
     packages = ", ".join(f"{name} {number}" for name, number in versions.items())
     runs = "; ".join(
@@ -24,14 +27,15 @@ def table(experiment: Experiment, results: Results) -> str:
     )
     lines += [
         "",
-        f"`{about['command']}`, {about['date']}, commit {about['commit']}. Runs × CPU time of each: {runs}. {packages}.",
+        f"`{about['command']}`, {about['date']}, commit {about['commit']}. "
+        f"Runs × CPU time of each: {runs}. {packages}.",
         "",
     ]
     return "\n".join(lines) + "\n"
 
 
 def with_tables(text: str, experiments: Mapping[str, Experiment]) -> str:
-    """Return the document's text with all tables as the results say.
+    """Return the document's text with all pictures and tables as the results say.
 
     Args:
         text: Text, in which each table lies between two comments.
@@ -41,7 +45,7 @@ def with_tables(text: str, experiments: Mapping[str, Experiment]) -> str:
     def current(match: re.Match[str]) -> str:
         name = match[2]
         results = Results(RESULTS / "paper" / f"{name}.json")
-        inside = table(experiments[name], results) if results.runs else "\nNot computed yet.\n\n"
+        inside = part(name, experiments[name], results) if results.runs else "\nNot computed yet.\n\n"
         return match[1] + inside + match[3]
 
     return _TABLE.sub(current, text)

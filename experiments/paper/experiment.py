@@ -38,11 +38,13 @@ class Experiment:
     """An experiment of the paper.
 
     Attributes:
+        caption: What the picture shows.
         plan: Function from the size to the runs, those that tell most first.
         compare: Function from the results to the lines of the comparison; cases without runs are left out.
         draw: Function from the results to the picture in the paper's layout.
     """
 
+    caption: str
     plan: Callable[[Size], list[PlannedRun]]
     compare: Callable[[Results], list[Row]]
     draw: Callable[[Results], Figure]
@@ -55,9 +57,7 @@ def mean_and_spread(values: FloatArray, digits: int = 2) -> str:
     return f"{values.mean():.{digits}f} ± {values.std():.{digits}f} ({len(values)} runs)"
 
 
-def draw_curves(
-    axes: Axes, curves: FloatArray, label: str, color: str, first: int = 1, **line: Any
-) -> None:
+def draw_curves(axes: Axes, curves: FloatArray, label: str, color: str, **line: Any) -> None:
     """Draw the mean of curves `(r, n)` against the number of evaluations, and one sigma as shading.
 
     Args:
@@ -65,13 +65,12 @@ def draw_curves(
         curves: Curves; nothing is drawn if there are none.
         label: Label in the legend, to which the number of runs is added.
         color: Colour.
-        first: Number of evaluations of the first value.
         line: Properties of the line.
     """
     if not len(curves):
         return
     runs = f"{len(curves)} run" + "s" * (len(curves) > 1)
-    n = np.arange(first, first + curves.shape[1])
+    n = np.arange(1, curves.shape[1] + 1)
     mean, spread = curves.mean(axis=0), curves.std(axis=0)
     axes.plot(n, mean, color=color, label=f"{label} ({runs})", **line)
     axes.fill_between(n, mean - spread, mean + spread, color=color, alpha=0.2, linewidth=0.0)

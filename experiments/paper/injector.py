@@ -1,7 +1,7 @@
 """Runs on the AWA surrogate, section sec:accelerator: seven objectives of six variables, scaled to [-1, 1].
 
-The start of a run, its continuation and its end are those of `run_cache`: a run with more evaluations continues one with
-fewer, so that experiments share runs.
+Runs of the optimiser are those of `run_cache`: one with more evaluations continues one with fewer, so that experiments
+share runs.
 """
 
 from __future__ import annotations
@@ -75,9 +75,7 @@ def tune_perfectly(seed: int, evaluations: int) -> Record:
     benchmark = awa()
     means = prior_means(benchmark)
     settings = {"initial_evaluations": 1, **PERFECT}
-    run = cached_run(
-        "awa-perfect", benchmark, evaluations, seed, prior_means=means, **settings
-    )
+    run = cached_run("awa-perfect", benchmark, evaluations, seed, prior_means=means, **settings)
     return {"hypervolumes": rounded(run.hypervolumes)}
 
 

@@ -96,7 +96,7 @@ def draw(results: Results) -> Figure:
     pair = ("ucb_hvi", "proximal")
     if PICTURED not in results.runs.get("proximal", {}):
         pair = ("default", "default proximal")
-    bins = np.linspace(0.0, 2.0, 21)
+    bins = [0.1 * i for i in range(21)]
     for label, path, steps, letter in zip(pair, "ac", "bd", "ab", strict=True):
         if record := results.runs.get(label, {}).get(PICTURED):
             title, color = CASES[label]
@@ -115,4 +115,4 @@ def draw(results: Results) -> Figure:
     return figure
 
 
-EXPERIMENT = Experiment(plan, compare, draw)
+EXPERIMENT = Experiment("AWA: K1 and its steps with and without the proximal factor, and hypervolumes", plan, compare, draw)

@@ -38,7 +38,10 @@ def run_toy(
     constrained: bool = False,
     proximal: float | None = None,
 ) -> Record:
-    """Return set-points in x, hypervolumes as shares of the true one, and feasibility of a run.
+    """Return the record of a run.
+
+    It has the hypervolumes as shares of the true one, the lengths of the steps in x between suggestions, their median
+    distance from the best set-points, and feasibility; for the run that is drawn also the set-points in x.
 
     Args:
         seed: Seed.
@@ -51,10 +54,16 @@ def run_toy(
     optimizer = Optimizer(toy(constrained).problem, seed=seed, **settings)
     run = resume(toy(constrained), optimizer, evaluations)
     data = run.optimizer.dataset
+    x = 2.0 * data.inputs
+    suggested = x[INITIAL:]
+    along = np.clip(suggested.mean(axis=1), -1.0, 1.0)  # the best ones lie between (-1, -1) and (1, 1)
     record: Record = {
-        "x": [rounded(row, 7) for row in 2.0 * data.inputs],
         "hypervolumes": rounded(run.hypervolumes),
+        "steps": rounded(np.linalg.norm(np.diff(x[INITIAL - 1 :], axis=0), axis=1), 3),
+        "distance": rounded([np.median(np.linalg.norm(suggested - along[:, None], axis=1))])[0],
     }
+    if seed == PICTURED:
+        record["x"] = [rounded(row, 7) for row in x]
     if constrained:
         record["feasible"] = "".join("01"[int(met)] for met in data.feasible)
     return record

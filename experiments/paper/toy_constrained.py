@@ -23,9 +23,7 @@ def plan(size: Size) -> list[PlannedRun]:
     n = size.number(50, 10)
     seeds = [*dict.fromkeys([PICTURED, *size.seeds_of(25)])]
     return [
-        PlannedRun(
-            preset, seed, run_toy, {"evaluations": n, "preset": preset, "constrained": True}
-        )
+        PlannedRun(preset, seed, run_toy, {"evaluations": n, "preset": preset, "constrained": True})
         for preset in ("paper", "default")
         for seed in (seeds if preset == "paper" else size.seeds_of(25))
     ]
@@ -104,4 +102,4 @@ def draw(results: Results) -> Figure:
     return figure
 
 
-EXPERIMENT = Experiment(plan, compare, draw)
+EXPERIMENT = Experiment("Toy problem with a constraint: probability of feasibility, and share of feasible evaluations", plan, compare, draw)

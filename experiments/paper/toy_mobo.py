@@ -22,7 +22,6 @@ from experiments.problems import toy
 from mobo_tuner.core.acquisition import UpperConfidenceBoundHypervolumeImprovement
 from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.hypervolume import BoxDecomposition
-from mobo_tuner.core.pareto import FloatArray
 
 EVALUATIONS = 20
 GRID = 121
@@ -46,9 +45,8 @@ def plan(size: Size) -> list[PlannedRun]:
 def compare(results: Results) -> list[Row]:
     """Return the distance of suggestions from the best set-points and the share of the hypervolume."""
     rows = []
-    suggested = [np.array(record["x"][5:]) for record in results.records("paper")]
-    if suggested:
-        distances = np.array([np.median(_distance_to_best(x)) for x in suggested])
+    distances = results.values("paper", "distance")
+    if len(distances):
         rows.append(
             Row(
                 "where it measures: distance of a suggestion from the best set-points, median",
@@ -64,14 +62,10 @@ def compare(results: Results) -> list[Row]:
         ]
         if shares:
             claim = "“closely matches the analytical one”" if n == 20 else "–"
-            rows.append(Row(f"share of the true hypervolume, {n} evaluations", claim, "; ".join(shares)))
+            rows.append(
+                Row(f"share of the true hypervolume, {n} evaluations", claim, "; ".join(shares))
+            )
     return rows
-
-
-def _distance_to_best(x: FloatArray) -> FloatArray:
-    """Return the distances `(n,)` of points `(n, 2)` from the line between (-1, -1) and (1, 1)."""
-    along = np.clip(x.mean(axis=1), -1.0, 1.0)
-    return np.asarray(np.linalg.norm(x - along[:, None], axis=1))
 
 
 def draw(results: Results) -> Figure:
@@ -89,11 +83,21 @@ def draw(results: Results) -> Figure:
     alpha = UpperConfidenceBoundHypervolumeImprovement(models, boxes, beta)
     x, inputs = grid(GRID)
     truth = toy().objectives(inputs)
-    maps = [*truth.T, *(model.predict(inputs)[0] for model in models), np.exp(alpha.log_value(inputs))]
+    maps = [
+        *truth.T,
+        *(model.predict(inputs)[0] for model in models),
+        np.exp(alpha.log_value(inputs)),
+    ]
 
     figure = Figure(figsize=(8.0, 11.0))
     panels = figure.subplots(3, 2).ravel()
-    titles = ["(a) $f_1$", "(b) $f_2$", r"(c) $\mu_1$", r"(d) $\mu_2$", r"(e) UCB-HVI, $\beta = 0.01$"]
+    titles = [
+        "(a) $f_1$",
+        "(b) $f_2$",
+        r"(c) $\mu_1$",
+        r"(d) $\mu_2$",
+        r"(e) UCB-HVI, $\beta = 0.01$",
+    ]
     for i, (axes, title, values) in enumerate(zip(panels, titles, maps, strict=False)):
         input_axes(axes, title)
         scaled = (values - values.min()) / np.ptp(values)
@@ -113,4 +117,4 @@ def draw(results: Results) -> Figure:
     return figure
 
 
-EXPERIMENT = Experiment(plan, compare, draw)
+EXPERIMENT = Experiment("Toy problem: objectives, models, acquisition function and front", plan, compare, draw)

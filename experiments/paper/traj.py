@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 from experiments.campaign import PlannedRun, Results, Size
 from experiments.paper.experiment import Experiment, Row
 from experiments.paper.toy import INITIAL, ORDER, PICTURED, input_axes, run_toy
-from mobo_tuner.core.pareto import FloatArray
 
 # 4 I in x: steps in x are twice as long as in normalised space.
 PRECISION = 16.0
@@ -34,17 +33,6 @@ def plan(size: Size) -> list[PlannedRun]:
     ]
 
 
-def _paths(results: Results, label: str) -> list[FloatArray]:
-    """Return the last random set-point and the suggestions after it of each run, `(n + 1, 2)` each."""
-    return [np.array(record["x"][INITIAL - 1 :]) for record in results.records(label)]
-
-
-def _steps(results: Results, label: str) -> FloatArray:
-    """Return the lengths of the steps of all runs `(r, n)`."""
-    paths = _paths(results, label)
-    return np.array([np.linalg.norm(np.diff(path, axis=0), axis=1) for path in paths])
-
-
 def compare(results: Results) -> list[Row]:
     """Return mean step lengths and hypervolumes without and with the factor."""
     rows = []
@@ -52,7 +40,7 @@ def compare(results: Results) -> list[Row]:
         ("ucb_hvi", "proximal", "UCB-HVI"),
         ("default", "default proximal", "default"),
     ):
-        steps = [_steps(results, label) for label in (plain, biased)]
+        steps = [results.curves(label, "steps") for label in (plain, biased)]
         if not all(s.size for s in steps):
             continue
         means = [float(s.mean()) for s in steps]
@@ -91,7 +79,7 @@ def draw(results: Results) -> Figure:
         dots = axes.scatter(*path[1:].T, c=numbers, cmap=ORDER, edgecolors="black", s=34, zorder=3)
         axes.plot(*path[0], "x", color="tab:orange", markersize=9, markeredgewidth=2.5)
         inset = axes.inset_axes((0.64, 0.07, 0.34, 0.26))
-        steps = _steps(results, label).ravel()
+        steps = results.curves(label, "steps").ravel()
         inset.hist(steps, bins, weights=np.full(len(steps), 100.0 / len(steps)))
         inset.axvline(float(steps.mean()), color="tab:red", linestyle="--")
         inset.set_title(f"$L$, mean {steps.mean():.2f} [% of steps]", fontsize=8, pad=3.0)
@@ -100,4 +88,4 @@ def draw(results: Results) -> Figure:
     return figure
 
 
-EXPERIMENT = Experiment(plan, compare, draw)
+EXPERIMENT = Experiment("Toy problem: paths in the input space without and with the proximal factor", plan, compare, draw)

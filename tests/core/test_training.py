@@ -113,6 +113,30 @@ def test_adam_reaches_what_lbfgs_reaches():
     assert len(z) * (reached - best) < 0.02
 
 
+def test_adam_agrees_with_a_plain_implementation_by_torch():
+    """The likelihood by automatic differentiation, and torch's Adam with the paper's rate."""
+    torch = pytest.importorskip("torch")
+    x, z, _ = _data(20)
+    objective = NegativeLogPosterior(KERNELS.find("rbf")(3), x, z, np.zeros_like(z), False)
+    start, steps = objective.default_parameters(), 200
+    inputs, outputs = torch.from_numpy(x), torch.from_numpy(z)
+    parameters = torch.from_numpy(start.copy()).requires_grad_()
+    adam = torch.optim.Adam([parameters], lr=1e-3)
+    for _ in range(steps):
+        adam.zero_grad()
+        scaled = inputs / parameters[:3].exp()
+        squared = (scaled[:, None] - scaled[None]).square().sum(dim=2)
+        noise = parameters[4].exp() + 1e-10 * parameters[3].exp()
+        covariance = parameters[3].exp() * (-0.5 * squared).exp() + noise * torch.eye(len(z))
+        normal = torch.distributions.MultivariateNormal(torch.zeros_like(outputs), covariance)
+        (-normal.log_prob(outputs) / len(z)).backward()
+        adam.step()
+    free = np.ones(len(start), dtype=bool)
+    ours, _ = train_adam(objective, start, objective.bounds(1e-9), free, 1e-3, steps)
+    assert np.abs(ours - start).min() > 0.01
+    np.testing.assert_allclose(ours, parameters.detach().numpy(), atol=1e-7)
+
+
 def test_adam_first_steps_have_the_length_of_the_rate():
     x, z, _ = _data()
     objective = NegativeLogPosterior(KERNELS.find("rbf")(3), x, z, np.zeros_like(z), True)

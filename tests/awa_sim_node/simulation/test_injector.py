@@ -1,6 +1,7 @@
 """Whole beams: exact properties, the validation table of `docs/simulation.md`, and the prototype's rows.
 
-Most run on a coarse mesh, whose results are within some per cent of the finest (`experiments/convergence.py`).
+Most run on a coarse mesh, whose results are within some per cent of the finest
+(`experiments/simulation_convergence.py`).
 """
 
 from __future__ import annotations

@@ -1,0 +1,1 @@
+"""Comparison with the optimisers of the field."""
