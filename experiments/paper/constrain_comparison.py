@@ -106,4 +106,9 @@ def draw(results: Results) -> Figure:
     return figure
 
 
-EXPERIMENT = Experiment("AWA: preference, constraint and no limit on dE", plan, compare, draw)
+EXPERIMENT = Experiment(
+    "AWA: preference, constraint and no limit on dE",
+    plan,
+    compare,
+    draw,
+)

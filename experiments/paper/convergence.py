@@ -225,4 +225,9 @@ def _projected(record: Record) -> FloatArray:
     return np.stack([record["dE"], record["eps_x"]], axis=1)
 
 
-EXPERIMENT = Experiment("AWA: hypervolume against evaluations of all methods, and projected fronts", plan, compare, draw)
+EXPERIMENT = Experiment(
+    "AWA: hypervolume against evaluations of all methods, and projected fronts",
+    plan,
+    compare,
+    draw,
+)

@@ -1,4 +1,4 @@
-"""Pictures and tables in docs/paper.md, which lay the paper's claims beside the results in experiments/results/paper."""
+"""Pictures and tables of docs/paper.md: the paper's claims beside the results in experiments/results/paper."""
 
 from __future__ import annotations
 
@@ -45,7 +45,9 @@ def with_tables(text: str, experiments: Mapping[str, Experiment]) -> str:
     def current(match: re.Match[str]) -> str:
         name = match[2]
         results = Results(RESULTS / "paper" / f"{name}.json")
-        inside = part(name, experiments[name], results) if results.runs else "\nNot computed yet.\n\n"
+        inside = (
+            part(name, experiments[name], results) if results.runs else "\nNot computed yet.\n\n"
+        )
         return match[1] + inside + match[3]
 
     return _TABLE.sub(current, text)

@@ -115,4 +115,9 @@ def draw(results: Results) -> Figure:
     return figure
 
 
-EXPERIMENT = Experiment("AWA: K1 and its steps with and without the proximal factor, and hypervolumes", plan, compare, draw)
+EXPERIMENT = Experiment(
+    "AWA: K1 and its steps with and without the proximal factor, and hypervolumes",
+    plan,
+    compare,
+    draw,
+)

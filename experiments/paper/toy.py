@@ -56,7 +56,9 @@ def run_toy(
     data = run.optimizer.dataset
     x = 2.0 * data.inputs
     suggested = x[INITIAL:]
-    along = np.clip(suggested.mean(axis=1), -1.0, 1.0)  # the best ones lie between (-1, -1) and (1, 1)
+    along = np.clip(
+        suggested.mean(axis=1), -1.0, 1.0
+    )  # the best ones lie between (-1, -1) and (1, 1)
     record: Record = {
         "hypervolumes": rounded(run.hypervolumes),
         "steps": rounded(np.linalg.norm(np.diff(x[INITIAL - 1 :], axis=0), axis=1), 3),

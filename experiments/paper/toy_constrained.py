@@ -102,4 +102,9 @@ def draw(results: Results) -> Figure:
     return figure
 
 
-EXPERIMENT = Experiment("Toy problem with a constraint: probability of feasibility, and share of feasible evaluations", plan, compare, draw)
+EXPERIMENT = Experiment(
+    "Toy problem with a constraint: probability of feasibility, and share of feasible evaluations",
+    plan,
+    compare,
+    draw,
+)

@@ -117,4 +117,9 @@ def draw(results: Results) -> Figure:
     return figure
 
 
-EXPERIMENT = Experiment("Toy problem: objectives, models, acquisition function and front", plan, compare, draw)
+EXPERIMENT = Experiment(
+    "Toy problem: objectives, models, acquisition function and front",
+    plan,
+    compare,
+    draw,
+)

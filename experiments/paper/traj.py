@@ -88,4 +88,9 @@ def draw(results: Results) -> Figure:
     return figure
 
 
-EXPERIMENT = Experiment("Toy problem: paths in the input space without and with the proximal factor", plan, compare, draw)
+EXPERIMENT = Experiment(
+    "Toy problem: paths in the input space without and with the proximal factor",
+    plan,
+    compare,
+    draw,
+)

@@ -1,8 +1,8 @@
 """The optimisers that are compared, each behind one function: the next set-point from all that was measured.
 
 Set-points are normalised to [-1, 1], objectives are minimised, constraints are met up to their maximum. Xopt runs with
-its defaults, BoTorch's qLogNEHVI with the settings of its tutorial (128 Sobol samples, 10 restarts, 512 raw samples) and
-independent models, pymoo's NSGA-II with a population of 20. Those need `experiments/requirements.txt`.
+its defaults, BoTorch's qLogNEHVI with independent models and the settings of its tutorial (128 Sobol samples, 10
+restarts, 512 raw samples), pymoo's NSGA-II with a population of 20. Those need `experiments/requirements.txt`.
 """
 
 from __future__ import annotations

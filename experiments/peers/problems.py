@@ -95,7 +95,15 @@ def vehicle_safety() -> Benchmark:
 
 def car_side_impact() -> Benchmark:
     """Return weight, force, velocity and the sum of ten violated limits, by seven thicknesses [Tanabe2020]_."""
-    bounds = [(0.5, 1.5), (0.45, 1.35), (0.5, 1.5), (0.5, 1.5), (0.875, 2.625), (0.4, 1.2), (0.4, 1.2)]
+    bounds = [
+        (0.5, 1.5),
+        (0.45, 1.35),
+        (0.5, 1.5),
+        (0.5, 1.5),
+        (0.875, 2.625),
+        (0.4, 1.2),
+        (0.4, 1.2),
+    ]
     weights = np.array([4.9, 6.67, 6.98, 4.01, 1.78, 1e-5, 2.73])
 
     def objectives(x: FloatArray) -> FloatArray:
@@ -105,7 +113,13 @@ def car_side_impact() -> Benchmark:
         door = 16.45 - 0.489 * c * g - 0.843 * e * f
         above = [  # how far each quantity lies above its limit
             1.16 - 0.3717 * b * d - 0.0092928 * c - 1.0,
-            0.261 - 0.0159 * a * b - 0.06486 * a - 0.019 * b * g + 0.0144 * c * e + 0.0154464 * f - 0.32,
+            0.261
+            - 0.0159 * a * b
+            - 0.06486 * a
+            - 0.019 * b * g
+            + 0.0144 * c * e
+            + 0.0154464 * f
+            - 0.32,
             0.214
             + (0.00817 - 0.00364 * f) * e
             - 0.0587118 * a
