@@ -207,11 +207,19 @@ def dtlz2(n_objectives: int = 3, n_variables: int = 6) -> Benchmark:
     return Benchmark(Problem.from_dict(definition), objectives, reference**n_objectives - ball)
 
 
-def awa(kept: Sequence[str] = (), limit: float | None = None, preferred: bool = False) -> Benchmark:
+def awa() -> Benchmark:
     """Return the AWA surrogate with six variables and seven objectives, as in the paper's section sec:accelerator.
 
     The reference point is the highest value of each objective. In the benchmark's unit, the hypervolume is that of
     objectives scaled to [-1, 1] with reference point 1; the whole box has 2^7.
+    """
+    return awa_variant()
+
+
+def awa_variant(
+    kept: Sequence[str] = (), limit: float | None = None, preferred: bool = False
+) -> Benchmark:
+    """Return `awa` with fewer objectives or a limit of dE.
 
     Args:
         kept: Names of the objectives in place of all seven.

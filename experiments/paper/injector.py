@@ -19,6 +19,7 @@ from experiments.problems import (
     Benchmark,
     awa,
     awa_normalised,
+    awa_variant,
     first_reaching,
     prior_means,
 )
@@ -32,8 +33,8 @@ LIMIT = 0.52  # of dE [MeV]
 QUICK: dict[str, Any] = {"adam_steps": 100, "adam_retraining_steps": 20}
 CASES: dict[str, Callable[[], Benchmark]] = {
     "nothing": awa,
-    "preference": lambda: awa(limit=LIMIT, preferred=True),
-    "constraint": lambda: awa(limit=LIMIT),
+    "preference": lambda: awa_variant(limit=LIMIT, preferred=True),
+    "constraint": lambda: awa_variant(limit=LIMIT),
 }
 
 

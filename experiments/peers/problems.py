@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.problems import Benchmark, awa, dtlz2, toy
+from experiments.problems import Benchmark, awa, awa_variant, dtlz2, toy
 from mobo_tuner.core import Problem
 from mobo_tuner.core.pareto import FloatArray
 
@@ -302,11 +302,11 @@ PROBLEMS: dict[str, Callable[[], Benchmark]] = {
     "disc_brake": disc_brake,
     "welded_beam": welded_beam,
     "c2_dtlz2": c2_dtlz2,
-    "awa_2": lambda: awa(("eps_x", "dE")),
+    "awa_2": lambda: awa_variant(("eps_x", "dE")),
     "dtlz2_3": lambda: dtlz2(3),
     "vehicle_safety": vehicle_safety,
     "penicillin": penicillin,
-    "awa_3": lambda: awa(("sigma_x", "eps_x", "dE")),
+    "awa_3": lambda: awa_variant(("sigma_x", "eps_x", "dE")),
     "car_side_impact": car_side_impact,
     "dtlz2_5": lambda: dtlz2(5),
     "awa_7": awa,
