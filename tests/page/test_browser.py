@@ -262,6 +262,15 @@ def test_every_view_of_the_details_is_drawn(page: Page, tab: str) -> None:
         page.wait_for_selector(".details canvas")
 
 
+def test_the_models_say_what_drives_what_through_the_chosen_point(page: Page) -> None:
+    page.get_by_role("tab", name="Models").click()
+    note = ".details .card-head .quiet"
+    until(page, lambda: f"evaluation {chosen(page)};" in read(page, note), "the answer", 120.0)
+    assert re.search(r"explains \d+% of the variance", read(page, note))
+    until(page, lambda: page.locator(".slice:has(canvas)").count() == 4, "two slices and two plots")
+    page.get_by_role("tab", name="All coordinates").click()
+
+
 def barriers(page: Page) -> list[str]:
     """What keeps people with aids from reading or acting, as axe-core sees it."""
     found = Axe().run(page).response["violations"]

@@ -10,10 +10,10 @@ import pytest
 
 from mobo_tuner.client import Evaluation, Front, Point
 from mobo_tuner.core.problem import Problem
-from mobo_tuner.page import charts
+from mobo_tuner.page import chart_parts, charts, traces
 from mobo_tuner.page.board import RunBoard
 
-COLOURS = [charts.DARK, charts.LIGHT]
+COLOURS = [chart_parts.DARK, chart_parts.LIGHT]
 
 
 def make_problem(objectives: int, **further: Any) -> Problem:
@@ -74,20 +74,20 @@ def make_run(
     return run
 
 
-def series(options: charts.Options, name: str) -> list[Any]:
+def series(options: chart_parts.Options, name: str) -> list[Any]:
     [found] = [s["data"] for s in options["series"] if s.get("name") == name]
     return list(found)
 
 
-def every_plot(run: RunBoard, colours: charts.Colours) -> list[charts.Options]:
+def every_plot(run: RunBoard, colours: chart_parts.Colours) -> list[chart_parts.Options]:
     assert run.problem is not None
     names = run.problem.objective_names
     return [
         charts.front(run, names[0], names[-1], 0, colours),
         charts.hypervolume(run, colours),
         charts.parallel(run, 0, colours),
-        *(charts.variable(run, v, colours) for v in run.problem.variables),
-        *(charts.diagnostic(run, name, "", colours) for name in (*names, "g", "charge")),
+        *(traces.variable(run, v, colours) for v in run.problem.variables),
+        *(traces.diagnostic(run, name, "", colours) for name in (*names, "g", "charge")),
     ]
 
 
@@ -109,15 +109,15 @@ def test_every_plot_is_strict_json_of_a_bounded_size(
 
 def test_a_plot_has_the_same_series_whatever_was_found() -> None:
     problem = make_problem(2)
-    empty = every_plot(make_run(problem, 0), charts.DARK)
-    full = every_plot(make_run(problem, 50, ("feasible", "failed"), points=5), charts.DARK)
+    empty = every_plot(make_run(problem, 0), chart_parts.DARK)
+    full = every_plot(make_run(problem, 50, ("feasible", "failed"), points=5), chart_parts.DARK)
     for first, second in zip(empty, full, strict=True):
         assert len(first["series"]) == len(second["series"])
 
 
 def test_the_front_shows_each_evaluation_once_where_it_belongs() -> None:
     run = make_run(make_problem(2), 9, ("feasible", "infeasible", "failed"), points=2)
-    options = charts.front(run, "f0", "f1", 1, charts.DARK)
+    options = charts.front(run, "f0", "f1", 1, chart_parts.DARK)
     assert [p["value"][2] for p in series(options, "front")] == [0, 1]
     assert [p["value"][2] for p in series(options, "feasible")] == [3, 6]
     assert [p["value"][2] for p in series(options, "infeasible")] == [4, 7]
@@ -131,13 +131,13 @@ def test_a_point_of_the_models_is_told_from_a_measured_one() -> None:
     guessed = Point(2, {"x": 0.5, "y": 1.0}, {"f0": 0.1, "f1": 0.2}, {}, predicted=("f1",))
     assert run.front is not None
     run.front = Front("run", (*run.front.points, guessed), 1.0, 1.0, {}, {})
-    options = charts.front(run, "f0", "f1", None, charts.DARK)
+    options = charts.front(run, "f0", "f1", None, chart_parts.DARK)
     assert [p["value"][2] for p in series(options, "model")] == [2]
 
 
 def test_the_reference_point_and_the_truncation_box_are_drawn() -> None:
     problem = make_problem(2, truncation=[0.5, 2.0])
-    options = charts.front(make_run(problem, 3, points=1), "f0", "f1", None, charts.DARK)
+    options = charts.front(make_run(problem, 3, points=1), "f0", "f1", None, chart_parts.DARK)
     [front] = [s for s in options["series"] if s["name"] == "front"]
     assert front["markLine"]["data"] == [{"xAxis": 2.0}, {"yAxis": 2.0}]
     assert front["markArea"]["data"] == [
@@ -147,16 +147,16 @@ def test_the_reference_point_and_the_truncation_box_are_drawn() -> None:
 
 
 def test_many_points_are_thinned_out_and_the_last_one_stays() -> None:
-    options = charts.hypervolume(make_run(make_problem(2), 5000), charts.DARK)
+    options = charts.hypervolume(make_run(make_problem(2), 5000), chart_parts.DARK)
     shown = series(options, "hypervolume")
-    assert len(shown) <= charts.MAX_POINTS
+    assert len(shown) <= chart_parts.MAX_POINTS
     assert shown[-1] == [5000, 4999.0]
 
 
 def test_the_limits_of_a_diagnostic_and_its_error_bars_are_drawn() -> None:
     run = make_run(make_problem(2), 2)
-    options = charts.diagnostic(run, "g", "", charts.DARK)
+    options = traces.diagnostic(run, "g", "", chart_parts.DARK)
     [points] = [s for s in options["series"] if s["name"] == "feasible"]
     assert points["markLine"]["data"] == [{"yAxis": 0.5}]
-    [bar, _] = series(charts.diagnostic(run, "f0", "", charts.DARK), "standard deviation")
+    [bar, _] = series(traces.diagnostic(run, "f0", "", chart_parts.DARK), "standard deviation")
     assert bar[3:] == pytest.approx([-0.1, 0.1])

@@ -19,6 +19,14 @@ def make(folder: Path, run_id: str, summary: object = None, **facts: object) -> 
         (folder / run_id / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
 
 
+@pytest.mark.parametrize("run_id", ["", ".", "..", "../runs/one", "/tmp", "none"])
+def test_a_run_id_from_a_topic_leads_out_of_the_folder_nowhere(tmp_path: Path, run_id: str) -> None:
+    (tmp_path / "runs" / "one").mkdir(parents=True)
+    history = History(tmp_path / "runs")
+    assert history.folder_of("one") == tmp_path / "runs" / "one"
+    assert history.folder_of(run_id) is None
+
+
 def test_the_newest_run_is_first_and_a_text_filters(tmp_path: Path) -> None:
     make(tmp_path, "a", {"evaluations": 9, "failed": 1, "hypervolume": 2.5}, state="finished")
     make(tmp_path, "b", started="2026-02-01T00:00:00", state="failed", reason="K1 is stuck")

@@ -32,7 +32,7 @@ from mobo_tuner.core.optimizer_state import (
     write_state,
 )
 from mobo_tuner.core.predicted_front import predict_front
-from mobo_tuner.core.problem import Problem, ProblemError
+from mobo_tuner.core.problem import Array, Problem, ProblemError
 from mobo_tuner.core.resolution import SAME
 from mobo_tuner.core.settings import make_settings
 
@@ -340,6 +340,25 @@ class Optimizer:
             return math.nan
         with single_blas_thread():
             return self._search().expected_gain(x)
+
+    def log_acquisition(self, x: Array) -> Array:
+        """Return the logarithm of the acquisition function, by the models of the last suggestion.
+
+        Later suggestions are unaffected.
+
+        Args:
+            x: Points ``(m, d)``, normalised to [-1, 1].
+
+        Returns:
+            Values ``(m,)``; NaN if there are no models yet, or nothing shows where it is large.
+        """
+        function = None
+        if len(self.dataset) >= self.initial_evaluations and self.archive.models.ready:
+            with single_blas_thread():
+                function = self._search().acquisition_function()
+                if function is not None:
+                    return function.log_value(x)
+        return np.full(len(x), math.nan)
 
     def catch_up(self) -> None:
         """Update the models as `ask` would, without the search.

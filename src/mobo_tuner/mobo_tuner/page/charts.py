@@ -1,4 +1,4 @@
-"""Plots of a run, as options of Apache ECharts.
+"""Plots of what was found, as options of Apache ECharts.
 
 Every plot always has the same series, so that the browser updates it in place. Points carry the index of their
 evaluation as their third value. Tooltips are drawn on the canvas, where text is never read as HTML.
@@ -7,60 +7,28 @@ evaluation as their third value. Tooltips are drawn on the canvas, where text is
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable
 
 from mobo_tuner.client import Evaluation, Point
-from mobo_tuner.core.problem import Objective, Problem, Variable
+from mobo_tuner.core.problem import Objective, Problem
 from mobo_tuner.displays.settings import labelled
 from mobo_tuner.page.board import RunBoard
+from mobo_tuner.page.chart_parts import (
+    FONT,
+    Colours,
+    Options,
+    axis,
+    curve,
+    finite,
+    legend,
+    marks,
+    options,
+    scatter,
+    thinned,
+)
 from mobo_tuner.page.words import measured, number, quantity
 
-MAX_POINTS = 600  # of a series; more are thinned out
-FONT = "Roboto, sans-serif"
 MAX_LINES = 150  # of the parallel coordinates
-
-Options = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Colours:
-    """Colours of a plot, from the palette of Okabe and Ito, which the colour-blind can tell apart."""
-
-    text: str
-    faint: str
-    grid: str
-    front: str
-    others: str
-    infeasible: str
-    failed: str
-    last: str
-    chosen: str
-
-
-DARK = Colours(
-    text="#e6e9ef",
-    faint="#a3acba",
-    grid="#333c4a",
-    front="#56b4e9",
-    others="#8a94a3",
-    infeasible="#e69f00",
-    failed="#ff7a33",
-    last="#f0e442",
-    chosen="#ffffff",
-)
-LIGHT = Colours(
-    text="#1b2330",
-    faint="#525c6b",
-    grid="#dde2e9",
-    front="#0072b2",
-    others="#7d8796",
-    infeasible="#b87a00",
-    failed="#c24e00",
-    last="#9a6a00",
-    chosen="#000000",
-)
 
 
 def front(run: RunBoard, x: str, y: str, chosen: int | None, colours: Colours) -> Options:
@@ -95,21 +63,23 @@ def front(run: RunBoard, x: str, y: str, chosen: int | None, colours: Colours) -
     last = [p for p in [_place(e, x, y) for e in run.evaluations[-1:]] if p is not None]
     ring = [p for p in (*measured_points, *guessed) if p["value"][2] == chosen]
     used = [*measured_points, *guessed, *others, *last] or [*infeasible, *failed]
-    return _options(
+    return options(
         colours,
         grid=[{"left": 62, "right": 20, "top": 42, "bottom": 46}],
-        legend=_legend(colours, ["front", "model", "feasible", "infeasible", "failed", "last"]),
+        legend=legend(colours, ["front", "model", "feasible", "infeasible", "failed", "last"]),
         xAxis=[_objective_axis(objectives[x], [p["value"][0] for p in used], colours, 28)],
         yAxis=[_objective_axis(objectives[y], [p["value"][1] for p in used], colours, 46)],
         series=[
-            _scatter("feasible", _thin(others), "circle", 6, colours.others, opacity=0.75),
-            _scatter("infeasible", _thin(infeasible), "triangle", 9, colours.infeasible),
-            _scatter("failed", _thin(failed), "path://M0,0L8,8M8,0L0,8", 9, colours.failed, line=2),
-            _scatter("model", guessed, "emptyCircle", 13, colours.front, line=2),
+            scatter("feasible", thinned(others), "circle", 6, colours.others, opacity=0.75),
+            scatter("infeasible", thinned(infeasible), "triangle", 9, colours.infeasible),
+            scatter(
+                "failed", thinned(failed), "path://M0,0L8,8M8,0L0,8", 9, colours.failed, line=2
+            ),
+            scatter("model", guessed, "emptyCircle", 13, colours.front, line=2),
             {
-                **_scatter("front", measured_points, "circle", 14, colours.front),
+                **scatter("front", measured_points, "circle", 14, colours.front),
                 "z": 4,
-                "markLine": _lines(
+                "markLine": marks(
                     [
                         {axis: objectives[name].reference}
                         for axis, name in (("xAxis", x), ("yAxis", y))
@@ -119,31 +89,31 @@ def front(run: RunBoard, x: str, y: str, chosen: int | None, colours: Colours) -
                 ),
                 "markArea": _box(objectives[x], objectives[y], colours),
             },
-            {**_scatter("last", last, "diamond", 16, colours.last, line=2), "z": 5},
-            {**_scatter("chosen", ring, "emptyCircle", 24, colours.chosen, line=3), "z": 6},
+            {**scatter("last", last, "diamond", 16, colours.last, line=2), "z": 5},
+            {**scatter("chosen", ring, "emptyCircle", 24, colours.chosen, line=3), "z": 6},
         ],
     )
 
 
 def hypervolume(run: RunBoard, colours: Colours) -> Options:
     """Return the plot of the hypervolume over the evaluations."""
-    evaluations = _thin(run.evaluations)
-    modelled = [[e.index + 1, _json(e.hypervolume)] for e in evaluations]
-    plain = [[e.index + 1, _json(e.hypervolume_measured)] for e in evaluations]
-    options = _options(
+    evaluations = thinned(run.evaluations)
+    modelled = [[e.index + 1, finite(e.hypervolume)] for e in evaluations]
+    plain = [[e.index + 1, finite(e.hypervolume_measured)] for e in evaluations]
+    plot = options(
         colours,
         grid=[{"left": 62, "right": 20, "top": 42, "bottom": 46}],
-        legend=_legend(colours, ["hypervolume", "of the readings as they are"]),
-        xAxis=[_axis("evaluations", colours, 28, min=0, minInterval=1)],
-        yAxis=[_axis("hypervolume", colours, 46)],
+        legend=legend(colours, ["hypervolume", "of the readings as they are"]),
+        xAxis=[axis("evaluations", colours, 28, min=0, minInterval=1)],
+        yAxis=[axis("hypervolume", colours, 46)],
         series=[
-            _line("of the readings as they are", plain, colours.others, dashed=True),
-            _line("hypervolume", modelled, colours.front, width=3),
+            curve("of the readings as they are", plain, colours.others, dashed=True),
+            curve("hypervolume", modelled, colours.front, width=3),
         ],
     )
-    options["tooltip"] |= {"trigger": "axis"}
-    del options["tooltip"]["formatter"]
-    return options
+    plot["tooltip"] |= {"trigger": "axis"}
+    del plot["tooltip"]["formatter"]
+    return plot
 
 
 def parallel(run: RunBoard, chosen: int | None, colours: Colours) -> Options:
@@ -162,7 +132,7 @@ def parallel(run: RunBoard, chosen: int | None, colours: Colours) -> Options:
     def line(point: Point) -> Options:
         values = [*(point.objectives.get(o.name, math.nan) for o in problem.objectives)]
         values += [point.setpoint.get(v.name, math.nan) for v in problem.variables]
-        return {"name": f"#{point.index}", "value": [_json(value) for value in values]}
+        return {"name": f"#{point.index}", "value": [finite(value) for value in values]}
 
     style = {"width": 1.5, "opacity": 0.55, "color": colours.front}
     ring = {"width": 4, "opacity": 1.0, "color": colours.chosen}
@@ -187,153 +157,6 @@ def parallel(run: RunBoard, chosen: int | None, colours: Colours) -> Options:
     }
 
 
-def variable(run: RunBoard, variable: Variable, colours: Colours) -> Options:
-    """Return the plot of a variable over the evaluations, between its bounds."""
-    name = variable.name
-    made = [e for e in _thin(run.evaluations) if name in e.setpoint]
-    bounds = [{"yAxis": variable.minimum}, {"yAxis": variable.maximum}]
-    return _options(
-        colours,
-        title=_title(labelled(name, variable.unit), colours),
-        grid=[{"left": 54, "right": 14, "top": 34, "bottom": 26}],
-        xAxis=[_axis("", colours, 0, min=0, minInterval=1)],
-        yAxis=[_axis("", colours, 0)],
-        series=[
-            {
-                **_scatter(
-                    "set-point",
-                    [_trace(e, e.setpoint[name], variable.unit) for e in made if e.valid],
-                    *("circle", 5, colours.front),
-                ),
-                "markLine": _lines(bounds, colours),
-            },
-            _scatter(
-                "failed",
-                [_trace(e, e.setpoint[name], variable.unit) for e in made if not e.valid],
-                *("path://M0,0L8,8M8,0L0,8", 8, colours.failed),
-                line=2,
-            ),
-        ],
-    )
-
-
-def diagnostic(run: RunBoard, name: str, unit: str, colours: Colours) -> Options:
-    """Return the plot of a diagnostic over the evaluations, with error bars and its limits."""
-    problem = run.problem
-    assert problem is not None
-    known = [
-        (e, *e.diagnostics[name])
-        for e in _thin(run.evaluations)
-        if math.isfinite(e.diagnostics.get(name, (math.nan, math.nan))[0])
-    ]
-    bars = []
-    for evaluation, mean, stddev in known:
-        spread = stddev if math.isfinite(stddev) else 0.0
-        bars.append([evaluation.index + 1, mean, mean, mean - spread, mean + spread])
-    limits = [
-        limit
-        for c in problem.constraints
-        if c.name == name
-        for limit in (c.minimum, c.maximum)
-        if math.isfinite(limit)
-    ]
-    return _options(
-        colours,
-        title=_title(labelled(name, unit), colours),
-        grid=[{"left": 54, "right": 14, "top": 34, "bottom": 26}],
-        xAxis=[_axis("", colours, 0, min=0, minInterval=1)],
-        yAxis=[_axis("", colours, 0)],
-        series=[
-            {
-                "type": "custom",
-                "name": "standard deviation",
-                "silent": True,
-                "data": bars,
-                "encode": {"x": 0, "y": [3, 4]},
-                ":renderItem": _ERROR_BAR,
-                "itemStyle": {"color": colours.others},
-            },
-            {
-                **_scatter(
-                    "feasible",
-                    [_trace(e, mean, unit, stddev) for e, mean, stddev in known if e.feasible],
-                    *("circle", 5, colours.front),
-                ),
-                "markLine": _lines([{"yAxis": limit} for limit in limits], colours),
-            },
-            _scatter(
-                "infeasible",
-                [_trace(e, mean, unit, stddev) for e, mean, stddev in known if not e.feasible],
-                *("triangle", 7, colours.infeasible),
-            ),
-        ],
-    )
-
-
-_NUMBER = """(value) => Math.abs(value) >= 1e5
-  ? value.toExponential().replace("e+", "e") : value.toLocaleString("en-US", {useGrouping: false})
-"""
-_ERROR_BAR = """(params, api) => {
-  const low = api.coord([api.value(0), api.value(3)]);
-  const high = api.coord([api.value(0), api.value(4)]);
-  return {type: "line", shape: {x1: low[0], y1: low[1], x2: high[0], y2: high[1]},
-          style: {stroke: api.visual("color"), lineWidth: 1.5}};
-}"""
-
-
-# ------------------------------------------------------------------ parts of options
-
-
-def _options(colours: Colours, **parts: Any) -> Options:
-    return {
-        "animation": False,
-        "backgroundColor": "transparent",
-        "textStyle": {"color": colours.text, "fontFamily": FONT},
-        "tooltip": {"renderMode": "richText", "confine": True, "formatter": "{b}"},
-        **parts,
-    }
-
-
-def _legend(colours: Colours, names: Sequence[str]) -> Options:
-    return {
-        "data": [*names],
-        "type": "scroll",
-        "top": 4,
-        "left": 8,
-        "itemGap": 14,
-        "itemWidth": 14,
-        "selectedMode": False,
-        "textStyle": {"color": colours.text, "fontSize": 14, "fontFamily": FONT},
-    }
-
-
-def _title(text: str, colours: Colours) -> Options:
-    style = {"color": colours.text, "fontSize": 14, "fontWeight": "bold"}
-    return {"text": text, "left": 8, "top": 6, "textStyle": style}
-
-
-def _axis(name: str, colours: Colours, gap: int, **parts: Any) -> Options:
-    return {
-        "type": "value",
-        "name": name,
-        "nameLocation": "middle",
-        "nameGap": gap,
-        "nameTextStyle": {"color": colours.text, "fontSize": 15, "fontFamily": FONT},
-        "axisLabel": {
-            "color": colours.faint,
-            "fontSize": 13,
-            "fontFamily": FONT,
-            "hideOverlap": True,
-            ":formatter": _NUMBER,
-        },
-        "axisLine": {"onZero": False, "lineStyle": {"color": colours.faint}},
-        "splitLine": {"lineStyle": {"color": colours.grid}},
-        "splitNumber": 4,
-        "scale": True,
-        **parts,
-    }
-
-
 def _objective_axis(
     objective: Objective, values: Iterable[float | None], colours: Colours, gap: int
 ) -> Options:
@@ -342,7 +165,7 @@ def _objective_axis(
     known = [v for v in (*values, objective.reference) if v is not None and math.isfinite(v)]
     low, high = min(known, default=0.0), max(known, default=1.0)
     margin = 0.06 * (high - low) or 0.06 * abs(high) or 1.0
-    return _axis(
+    return axis(
         f"{labelled(objective.name, objective.unit)}, {arrow}",
         colours,
         gap,
@@ -378,63 +201,14 @@ def _parallel_axis(position: int, name: str, unit: str, colours: Colours) -> Opt
     }
 
 
-def _scatter(
-    name: str,
-    data: Sequence[Any],
-    symbol: str,
-    size: int,
-    colour: str,
-    *,
-    opacity: float = 1.0,
-    line: int = 0,
-) -> Options:
-    style: Options = {"color": colour, "opacity": opacity}
-    if line:
-        style |= {"borderColor": colour, "borderWidth": line}
-    if symbol == "emptyCircle":
-        symbol, style = "circle", style | {"color": "transparent"}
-    return {
-        "type": "scatter",
-        "name": name,
-        "data": [*data],
-        "symbol": symbol,
-        "symbolSize": size,
-        "itemStyle": style,
-    }
-
-
-def _line(
-    name: str, data: Sequence[Any], colour: str, *, width: int = 2, dashed: bool = False
-) -> Options:
-    return {
-        "type": "line",
-        "name": name,
-        "data": [*data],
-        "step": "end",
-        "symbol": "none",
-        "lineStyle": {"color": colour, "width": width, "type": "dashed" if dashed else "solid"},
-        "itemStyle": {"color": colour},
-    }
-
-
-def _lines(data: Sequence[Options], colours: Colours) -> Options:
-    return {
-        "silent": True,
-        "symbol": "none",
-        "label": {"show": False},
-        "lineStyle": {"color": colours.infeasible, "type": "dashed", "width": 1.5},
-        "data": [*data],
-    }
-
-
 def _box(x: Objective, y: Objective, colours: Colours) -> Options:
     """Return the truncation box, as far as it is bounded in these two objectives."""
     corners: list[Options] = [{}, {}]
-    for axis, objective in (("xAxis", x), ("yAxis", y)):
+    for side, objective in (("xAxis", x), ("yAxis", y)):
         if objective.truncation is not None:
             for corner, limit in zip(corners, objective.truncation, strict=True):
                 if math.isfinite(limit):
-                    corner[axis] = limit
+                    corner[side] = limit
     style = {"color": colours.front, "opacity": 0.08}
     return {"silent": True, "itemStyle": style, "data": [corners] if any(corners) else []}
 
@@ -458,24 +232,9 @@ def _front_point(point: Point, x: str, y: str, problem: Problem) -> Options:
     for name, value in point.setpoint.items():
         lines.append(f"{name}  {quantity(value, units.get(name, ''))}")
     values = [point.objectives.get(x, math.nan), point.objectives.get(y, math.nan)]
-    return {"name": "\n".join(lines), "value": [*map(_json, values), point.index]}
+    return {"name": "\n".join(lines), "value": [*map(finite, values), point.index]}
 
 
 def _guessed(point: Point, x: str, y: str) -> bool:
     """Return whether one of the objectives was not measured there."""
     return bool({x, y} & {*point.predicted})
-
-
-def _trace(evaluation: Evaluation, value: float, unit: str, stddev: float = math.nan) -> Options:
-    text = f"evaluation {evaluation.index}\n{measured(value, stddev, unit)}"
-    return {"name": text, "value": [evaluation.index + 1, _json(value), evaluation.index]}
-
-
-def _thin(items: Sequence[Any]) -> list[Any]:
-    """Return items, evenly thinned out if there are many; the last one stays."""
-    step = math.ceil(len(items) / MAX_POINTS) or 1
-    return [*items[::-1][::step]][::-1]
-
-
-def _json(value: float) -> float | None:
-    return value if math.isfinite(value) else None

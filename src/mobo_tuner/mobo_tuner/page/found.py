@@ -12,7 +12,7 @@ from nicegui import events, ui
 from mobo_tuner.client import Point
 from mobo_tuner.core.pareto import conflicting_pair
 from mobo_tuner.core.problem import Problem
-from mobo_tuner.page import charts
+from mobo_tuner.page import chart_parts, charts
 from mobo_tuner.page.board import RunBoard
 from mobo_tuner.page.viewer import Table, Viewer, card
 from mobo_tuner.page.words import measured, number, quantity
@@ -22,7 +22,7 @@ CHOICE = (
 )
 STAGNATION = 3  # evaluations without a gain that are worth a word
 TELLING = 8  # points of a front that tell which objectives conflict
-EMPTY: charts.Options = {"series": [], "animation": False}
+EMPTY: chart_parts.Options = {"series": [], "animation": False}
 
 
 class FrontPanel:
@@ -223,7 +223,7 @@ class CoordinatesPanel:
             show(self.chart, charts.parallel(run, self._viewer.chosen, self._viewer.colours))
 
 
-def show(chart: ui.echart, options: charts.Options) -> None:
+def show(chart: ui.echart, options: chart_parts.Options) -> None:
     """Have a plot show other options, in place."""
     if chart.options != options:
         chart.options.clear()

@@ -60,6 +60,13 @@ class History:
         fitting = [r for r in found if text in f"{r.run_id} {r.state} {r.reason}".casefold()]
         return sorted(fitting, key=lambda run: run.started, reverse=True)[:MAX_RUNS]
 
+    def folder_of(self, run_id: str) -> Path | None:
+        """Return the folder of a run; None if it is not there."""
+        if self._folder is None or Path(run_id).name != run_id or run_id in ("", ".", ".."):
+            return None
+        folder = self._folder / run_id
+        return folder if folder.is_dir() else None
+
     def _read(self, folder: Path) -> PastRun:
         stamps = (_changed(folder / RUN_FILE), _changed(folder / SUMMARY_FILE))
         known = self._known.get(folder)

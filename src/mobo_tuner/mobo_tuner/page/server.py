@@ -23,6 +23,7 @@ from mobo_tuner.page.board import Board
 from mobo_tuner.page.commands import Commands
 from mobo_tuner.page.feed import Feed
 from mobo_tuner.page.history import History
+from mobo_tuner.page.insights import Insights
 from mobo_tuner.page.view import View
 
 REFRESH_PERIOD = 0.2  # [s]
@@ -57,6 +58,7 @@ class PageServer:
         self._feed = feed
         self._client = client
         self._history = history
+        self._insights = Insights(history)
         self._access = access
         self._listener = listener
         self._port = int(listener.getsockname()[1])
@@ -106,7 +108,8 @@ class PageServer:
             ui.add_head_html('<link rel="stylesheet" href="/page/page.css">')
             ui.add_head_html('<script src="/page/page.js" defer></script>')
             dark = request.query_params.get("theme") != "light"
-            view = View(self._board, commands if may_act else None, self._history, dark=dark)
+            allowed = commands if may_act else None
+            view = View(self._board, allowed, self._history, self._insights, dark=dark)
             view.refresh()
             self._views.append(view)
             ui.context.client.on_delete(lambda: self._views.remove(view))

@@ -19,10 +19,11 @@ from mobo_tuner.page.found import (
     PointsPanel,
 )
 from mobo_tuner.page.history import History
+from mobo_tuner.page.insights import Insights
 from mobo_tuner.page.now import HealthPanel, MotionPanel, StatePanel
 from mobo_tuner.page.past import HistoryPanel
 from mobo_tuner.page.viewer import Viewer
-from mobo_tuner.page.why import ConstraintsPanel, DiagnosticsPanel, VariablesPanel
+from mobo_tuner.page.why import ConstraintsPanel, DiagnosticsPanel, ModelsPanel, VariablesPanel
 from mobo_tuner.page.words import duration, state_of
 
 PLOT_PERIOD = 0.8  # [s] at least between two drawings of the plots
@@ -38,11 +39,18 @@ class View:
         board: What is known.
         commands: Requests to the tuner; None if this viewer may only read.
         history: Runs of the folder.
+        insights: What the models of these runs say.
         dark: Whether the page begins in the dark.
     """
 
     def __init__(
-        self, board: Board, commands: Commands | None, history: History, *, dark: bool
+        self,
+        board: Board,
+        commands: Commands | None,
+        history: History,
+        insights: Insights,
+        *,
+        dark: bool,
     ) -> None:
         self._viewer = viewer = Viewer(board, commands, dark=dark)
         self._drawn = 0.0  # when the plots were drawn, by `time.monotonic` [s]
@@ -61,7 +69,7 @@ class View:
                 self._objectives = ObjectivesPanel(viewer)
             self._points = PointsPanel(viewer)
             with ui.element("section").classes("card details"):
-                self._build_details(history)
+                self._build_details(history, insights)
 
     def _build_header(self) -> None:
         with ui.element("header").classes("top"):
@@ -73,12 +81,13 @@ class View:
             self._toggle = ui.button(icon="contrast", on_click=self._switch, color=None)
             self._toggle.props('flat round dense aria-label="light or dark"')
 
-    def _build_details(self, history: History) -> None:
+    def _build_details(self, history: History, insights: Insights) -> None:
         with ui.tabs().props("no-caps align=left dense inline-label") as tabs:
             ui.tab("coordinates", label="All coordinates")
             ui.tab("variables", label="Variables")
             ui.tab("diagnostics", label="Diagnostics")
             ui.tab("constraints", label="Constraints")
+            ui.tab("models", label="Models")
             ui.tab("history", label="History")
         with ui.tab_panels(tabs, value="coordinates", animated=False, keep_alive=False) as panels:
             with ui.tab_panel("coordinates"):
@@ -89,6 +98,8 @@ class View:
                 diagnostics = DiagnosticsPanel(self._viewer)
             with ui.tab_panel("constraints"):
                 constraints = ConstraintsPanel(self._viewer)
+            with ui.tab_panel("models"):
+                models = ModelsPanel(self._viewer, insights)
             with ui.tab_panel("history"):
                 past = HistoryPanel(history)
         self._panels = panels
@@ -97,6 +108,7 @@ class View:
             "variables": variables.refresh,
             "diagnostics": diagnostics.refresh,
             "constraints": constraints.refresh,
+            "models": models.refresh,
         }
 
         async def opened() -> None:
@@ -121,6 +133,8 @@ class View:
         shown = (board.version, self._viewer.choices, self._viewer.dark, self._panels.value)
         period = PLOT_PERIOD * (4.0 if len(run.evaluations) > LONG_RUN else 1.0)
         chosen_now = self._shown[1:] != shown[1:]
+        if shown == self._shown and self._panels.value == "models":
+            self._details["models"](run)  # an answer may have come
         if shown == self._shown or (time.monotonic() - self._drawn < period and not chosen_now):
             return
         self._shown, self._drawn = shown, time.monotonic()

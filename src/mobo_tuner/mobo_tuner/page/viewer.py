@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from nicegui import ui
 
-from mobo_tuner.page import charts
+from mobo_tuner.page import chart_parts
 from mobo_tuner.page.board import Board
 from mobo_tuner.page.commands import Answer, Commands
 
@@ -37,9 +37,9 @@ class Viewer:
     say: Callable[[Answer], None] = field(default=lambda _: None)
 
     @property
-    def colours(self) -> charts.Colours:
+    def colours(self) -> chart_parts.Colours:
         """Colours of its plots."""
-        return charts.DARK if self.dark else charts.LIGHT
+        return chart_parts.DARK if self.dark else chart_parts.LIGHT
 
     def choose(self, index: int | None) -> None:
         """Choose a point of the front, if it is one."""

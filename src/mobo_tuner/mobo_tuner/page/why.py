@@ -1,22 +1,25 @@
-"""Why: every variable between its bounds and every diagnostic with its error bars, over the evaluations."""
+"""Why: variables and diagnostics over the evaluations, constraints, and what the models say."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
-from nicegui import ui
+from nicegui import background_tasks, ui
 
 from mobo_tuner.core.problem import Constraint, Problem
 from mobo_tuner.displays.settings import labelled
-from mobo_tuner.page import charts
+from mobo_tuner.page import chart_parts, model_charts, traces
 from mobo_tuner.page.board import RunBoard
 from mobo_tuner.page.found import EMPTY, show
+from mobo_tuner.page.insights import Insights
+from mobo_tuner.page.model_charts import quality
 from mobo_tuner.page.viewer import Table, Viewer
 from mobo_tuner.page.words import number, quantity
 
-Plot = Callable[[RunBoard], charts.Options]
+Plot = Callable[[RunBoard], chart_parts.Options]
 
 
 class TracesPanel(ABC):
@@ -57,7 +60,7 @@ class VariablesPanel(TracesPanel):
         """Return the plot of each variable."""
         colours = self._viewer.colours
         return {
-            v.name: lambda run, v=v: charts.variable(run, v, colours)  # type: ignore[misc]
+            v.name: lambda run, v=v: traces.variable(run, v, colours)  # type: ignore[misc]
             for v in problem.variables
         }
 
@@ -70,7 +73,7 @@ class DiagnosticsPanel(TracesPanel):
         colours, units = self._viewer.colours, problem.units
         names = [*problem.required_diagnostics, *(o.name for o in problem.observables)]
         return {
-            name: lambda run, name=name: charts.diagnostic(  # type: ignore[misc]
+            name: lambda run, name=name: traces.diagnostic(  # type: ignore[misc]
                 run, name, units.get(name, ""), colours
             )
             for name in dict.fromkeys(names)
@@ -112,3 +115,76 @@ def _limit(constraint: Constraint) -> str:
         if math.isfinite(low)
         else f"at most {quantity(high, unit)}"
     )
+
+
+class ModelsPanel:
+    """What the models say: slices through the chosen or the last point, what drives what, how well they predict."""
+
+    def __init__(self, viewer: Viewer, insights: Insights) -> None:
+        self._viewer = viewer
+        self._insights = insights
+        self._shown: tuple[object, ...] = ()
+        with ui.element("div").classes("card-head"):
+            self._output = ui.select([], label="output", on_change=self._choose).props(
+                "dense outlined"
+            )
+            self._output.classes("axis")
+            self._note = ui.label().classes("quiet grow").mark("models-note")
+        self._slices: dict[str, ui.echart] = {}
+        self._body = ui.element("div").classes("traces")
+        with ui.element("div").classes("pair"):
+            self._drivers = self._chart("share of each output that each variable explains")
+            self._left_out = self._chart("predictions over readings")
+
+    def refresh(self, run: RunBoard) -> None:
+        """Show what is known, and ask for what is not."""
+        problem, index = run.problem, self._viewer.chosen
+        if problem is None:
+            return
+        if self._insights.is_due(run.run_id, index, len(run.evaluations)):
+            background_tasks.create(self._insights.ask(run.run_id, index))
+        known = self._insights.known(run.run_id, index)
+        if known is None:
+            self._note.set_text("The models are being asked …")
+            return
+        content = known.content
+        outputs = {output["name"]: output for output in content.get("outputs", ())}
+        if not outputs:
+            text = "Too little is known yet for models." if content else known.trouble
+            self._note.set_text(text)
+            return
+        if list(outputs) != self._output.options:
+            self._output.set_options(list(outputs), value=next(iter(outputs)))
+        chosen = outputs[self._output.value]
+        where = "chosen" if index is not None else "last"
+        self._note.set_text(
+            f"Slices through the {where} point, evaluation {content['index']}; all others stay. "
+            f"{quality(chosen)}"
+        )
+        shown = (id(content), chosen["name"], self._viewer.dark)
+        if shown != self._shown:
+            self._shown = shown
+            self._draw(problem, content, chosen)
+
+    def _draw(
+        self, problem: Problem, content: Mapping[str, Any], chosen: Mapping[str, Any]
+    ) -> None:
+        colours, names = self._viewer.colours, list(content["slices"])
+        if names != list(self._slices):
+            self._body.clear()
+            with self._body:
+                self._slices = {name: self._chart(f"{name}: slice") for name in names}
+        for name, chart in self._slices.items():
+            unit = problem.units.get(name, "")
+            show(chart, model_charts.model_slice(content, name, unit, chosen["name"], colours))
+        show(self._drivers, model_charts.drivers(content["outputs"], colours))
+        show(self._left_out, model_charts.left_out(chosen, colours))
+
+    def _choose(self) -> None:
+        self._viewer.choices += 1
+
+    def _chart(self, label: str) -> ui.echart:
+        chart = ui.echart(dict(EMPTY)).classes("chart slice")
+        chart.props["role"] = "img"
+        chart.props["aria-label"] = label
+        return chart

@@ -1,0 +1,178 @@
+"""Parts of plots, as options of Apache ECharts: colours, axes, series, marks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+MAX_POINTS = 600  # of a series; more are thinned out
+FONT = "Roboto, sans-serif"
+NUMBER = """(value) => Math.abs(value) >= 1e5
+  ? value.toExponential().replace("e+", "e") : value.toLocaleString("en-US", {useGrouping: false})
+"""
+ERROR_BAR = """(params, api) => {
+  const low = api.coord([api.value(0), api.value(3)]);
+  const high = api.coord([api.value(0), api.value(4)]);
+  return {type: "line", shape: {x1: low[0], y1: low[1], x2: high[0], y2: high[1]},
+          style: {stroke: api.visual("color"), lineWidth: 1.5}};
+}"""
+
+Options = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Colours:
+    """Colours of a plot, from the palette of Okabe and Ito, which the colour-blind can tell apart."""
+
+    text: str
+    faint: str
+    grid: str
+    front: str
+    others: str
+    infeasible: str
+    failed: str
+    last: str
+    chosen: str
+
+
+DARK = Colours(
+    text="#e6e9ef",
+    faint="#a3acba",
+    grid="#333c4a",
+    front="#56b4e9",
+    others="#8a94a3",
+    infeasible="#e69f00",
+    failed="#ff7a33",
+    last="#f0e442",
+    chosen="#ffffff",
+)
+LIGHT = Colours(
+    text="#1b2330",
+    faint="#525c6b",
+    grid="#dde2e9",
+    front="#0072b2",
+    others="#7d8796",
+    infeasible="#b87a00",
+    failed="#c24e00",
+    last="#9a6a00",
+    chosen="#000000",
+)
+
+
+def options(colours: Colours, **parts: Any) -> Options:
+    """Return the options of a plot with what all plots have in common."""
+    return {
+        "animation": False,
+        "backgroundColor": "transparent",
+        "textStyle": {"color": colours.text, "fontFamily": FONT},
+        "tooltip": {"renderMode": "richText", "confine": True, "formatter": "{b}"},
+        **parts,
+    }
+
+
+def legend(colours: Colours, names: Sequence[str]) -> Options:
+    """Return a legend of series, by their names."""
+    return {
+        "data": [*names],
+        "type": "scroll",
+        "top": 4,
+        "left": 8,
+        "itemGap": 14,
+        "itemWidth": 14,
+        "selectedMode": False,
+        "textStyle": {"color": colours.text, "fontSize": 14, "fontFamily": FONT},
+    }
+
+
+def title(text: str, colours: Colours) -> Options:
+    """Return a title in the upper left corner."""
+    style = {"color": colours.text, "fontSize": 14, "fontWeight": "bold"}
+    return {"text": text, "left": 8, "top": 6, "textStyle": style}
+
+
+def axis(name: str, colours: Colours, gap: int, **parts: Any) -> Options:
+    """Return an axis of numbers; `gap` is the distance of its name [px]."""
+    return {
+        "type": "value",
+        "name": name,
+        "nameLocation": "middle",
+        "nameGap": gap,
+        "nameTextStyle": {"color": colours.text, "fontSize": 15, "fontFamily": FONT},
+        "axisLabel": {
+            "color": colours.faint,
+            "fontSize": 13,
+            "fontFamily": FONT,
+            "hideOverlap": True,
+            ":formatter": NUMBER,
+        },
+        "axisLine": {"onZero": False, "lineStyle": {"color": colours.faint}},
+        "splitLine": {"lineStyle": {"color": colours.grid}},
+        "splitNumber": 4,
+        "scale": True,
+        **parts,
+    }
+
+
+def scatter(
+    name: str,
+    data: Sequence[Any],
+    symbol: str,
+    size: int,
+    colour: str,
+    *,
+    opacity: float = 1.0,
+    line: int = 0,
+) -> Options:
+    """Return a series of symbols; `line` is the width of their outline [px]."""
+    style: Options = {"color": colour, "opacity": opacity}
+    if line:
+        style |= {"borderColor": colour, "borderWidth": line}
+    if symbol == "emptyCircle":
+        symbol, style = "circle", style | {"color": "transparent"}
+    return {
+        "type": "scatter",
+        "name": name,
+        "data": [*data],
+        "symbol": symbol,
+        "symbolSize": size,
+        "itemStyle": style,
+    }
+
+
+def curve(
+    name: str, data: Sequence[Any], colour: str, *, width: int = 2, dashed: bool = False
+) -> Options:
+    """Return a series that is drawn as steps."""
+    return {
+        "type": "line",
+        "name": name,
+        "data": [*data],
+        "step": "end",
+        "symbol": "none",
+        "lineStyle": {"color": colour, "width": width, "type": "dashed" if dashed else "solid"},
+        "itemStyle": {"color": colour},
+    }
+
+
+def marks(data: Sequence[Options], colours: Colours) -> Options:
+    """Return straight lines through a plot, such as limits."""
+    return {
+        "silent": True,
+        "symbol": "none",
+        "label": {"show": False},
+        "lineStyle": {"color": colours.infeasible, "type": "dashed", "width": 1.5},
+        "data": [*data],
+    }
+
+
+def thinned(items: Sequence[Any]) -> list[Any]:
+    """Return items, evenly thinned out if there are many; the last one stays."""
+    step = math.ceil(len(items) / MAX_POINTS) or 1
+    return [*items[::-1][::step]][::-1]
+
+
+def finite(value: float) -> float | None:
+    """Return a value as JSON knows it: None in place of NaN and infinity."""
+    return value if math.isfinite(value) else None

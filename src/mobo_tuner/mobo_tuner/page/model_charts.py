@@ -1,0 +1,190 @@
+"""Plots of what the models say, as options of Apache ECharts.
+
+Their data are what `mobo_tuner.runs.report.insight` prints.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from mobo_tuner.displays.settings import labelled
+from mobo_tuner.page.chart_parts import (
+    ERROR_BAR,
+    FONT,
+    Colours,
+    Options,
+    axis,
+    marks,
+    options,
+    scatter,
+    title,
+)
+from mobo_tuner.page.words import measured, number, quantity
+
+BAND = 2.0  # standard deviations
+
+
+def model_slice(
+    content: Mapping[str, Any], variable: str, unit: str, output: str, colours: Colours
+) -> Options:
+    """Return an output along a variable with its band, and the acquisition function below.
+
+    Args:
+        content: What the models say.
+        variable: Name of the variable.
+        unit: Its unit.
+        output: Name of the output.
+        colours: Colours of the plot.
+    """
+    part = content["slices"][variable]
+    values, means, stddevs = part["values"], part["means"][output], part["stddevs"][output]
+    low = [[x, _minus(m, s)] for x, m, s in zip(values, means, stddevs, strict=True)]
+    width = [
+        [x, None if s is None else 2.0 * BAND * s] for x, s in zip(values, stddevs, strict=True)
+    ]
+    gain = [[x, a] for x, a in zip(values, part["acquisition"], strict=True)]
+    here = [{"xAxis": content["setpoint"][variable]}]
+    band = {"type": "line", "stack": "band", "symbol": "none", "lineStyle": {"opacity": 0.0}}
+    plain = {"type": "line", "symbol": "none"}
+    return options(
+        colours,
+        title=title(labelled(variable, unit), colours),
+        grid=[
+            {"left": 58, "right": 14, "top": 34, "bottom": 76},
+            {"left": 58, "right": 14, "height": 34, "bottom": 24},
+        ],
+        xAxis=[
+            axis("", colours, 0, min=values[0], max=values[-1], axisLabel={"show": False}),
+            axis("", colours, 0, min=values[0], max=values[-1], gridIndex=1),
+        ],
+        yAxis=[
+            axis("", colours, 0),
+            axis("", colours, 0, gridIndex=1, min=0.0, max=1.0, show=False),
+        ],
+        series=[
+            {**band, "name": "low", "data": low, "silent": True},
+            {
+                **band,
+                "name": "two standard deviations",
+                "data": width,
+                "silent": True,
+                "areaStyle": {"color": colours.front, "opacity": 0.22},
+            },
+            {
+                **plain,
+                "name": "mean",
+                "data": [[x, m] for x, m in zip(values, means, strict=True)],
+                "lineStyle": {"color": colours.front, "width": 2.5},
+                "markLine": marks(here, colours),
+            },
+            {
+                **plain,
+                "name": "acquisition function",
+                "data": gain,
+                "xAxisIndex": 1,
+                "yAxisIndex": 1,
+                "lineStyle": {"color": colours.last, "width": 2},
+                "areaStyle": {"color": colours.last, "opacity": 0.25},
+                "markLine": marks(here, colours),
+            },
+        ],
+    )
+
+
+def drivers(outputs: Sequence[Mapping[str, Any]], colours: Colours) -> Options:
+    """Return which variable drives what: the share of each output's variance that each explains alone."""
+    names = [*outputs[0]["drivers"]] if outputs else []
+    cells = [
+        {
+            "value": [column, row, share],
+            "name": f"{name} explains {share:.0%} of {output['name']} alone\n"
+            f"which changes over {number(output['length_scales'][name] or math.nan, 3)}",
+            "label": {"show": True, "formatter": f"{share:.0%}", "color": _on(share, colours)},
+        }
+        for row, output in enumerate(outputs)
+        for column, name in enumerate(names)
+        if (share := output["drivers"][name]) is not None
+    ]
+    common = {
+        "type": "category",
+        "axisLabel": {"color": colours.text, "fontSize": 14, "fontFamily": FONT},
+        "axisTick": {"show": False},
+        "axisLine": {"show": False},
+    }
+    return options(
+        colours,
+        title=title("Which variable drives what", colours),
+        grid=[{"left": 90, "right": 14, "top": 36, "bottom": 30}],
+        xAxis=[{**common, "data": names}],
+        yAxis=[{**common, "data": [o["name"] for o in outputs], "inverse": True}],
+        visualMap={
+            "show": False,
+            "min": 0.0,
+            "max": 1.0,
+            "dimension": 2,
+            "inRange": {"color": [colours.grid, colours.front]},
+        },
+        series=[{"type": "heatmap", "name": "share", "data": cells}],
+    )
+
+
+def left_out(output: Mapping[str, Any], colours: Colours) -> Options:
+    """Return each reading of an output over what the model predicts from all others."""
+    known = [
+        (p, m, s)
+        for p, m, s in zip(output["predicted"], output["measured"], output["stddevs"], strict=True)
+        if p is not None and m is not None
+    ]
+    points = [
+        {"value": [m, p], "name": f"measured {number(m)}\npredicted {measured(p, s or math.nan)}"}
+        for p, m, s in known
+    ]
+    bars = [[m, p, p, p - BAND * (s or 0.0), p + BAND * (s or 0.0)] for p, m, s in known]
+    ends = [m for _, m, _ in known]
+    low, high = min(ends, default=0.0), max(ends, default=1.0)
+    diagonal = [[{"coord": [low, low]}, {"coord": [high, high]}]]
+    name = labelled(output["name"], output["unit"])
+    return options(
+        colours,
+        title=title("Predicted from all others, over measured", colours),
+        grid=[{"left": 64, "right": 14, "top": 36, "bottom": 46}],
+        xAxis=[axis(f"{name}, measured", colours, 28)],
+        yAxis=[axis("", colours, 0)],
+        series=[
+            {
+                "type": "custom",
+                "name": "two standard deviations",
+                "silent": True,
+                "data": bars,
+                "encode": {"x": 0, "y": [3, 4]},
+                ":renderItem": ERROR_BAR,
+                "itemStyle": {"color": colours.others},
+            },
+            {
+                **scatter("predicted", points, "circle", 7, colours.front),
+                "markLine": {**marks([], colours), "data": diagonal},
+            },
+        ],
+    )
+
+
+def quality(output: Mapping[str, Any]) -> str:
+    """Return how well a model predicts, in words."""
+    skill, error, coverage = (output[key] for key in ("skill", "error", "coverage"))
+    if skill is None or error is None or coverage is None:
+        return ""
+    return (
+        f"It explains {max(skill, 0.0):.0%} of the variance; the error is {quantity(error, output['unit'], 2)}; "
+        f"{coverage:.0%} lie within two standard deviations (95 % are right)."
+    )
+
+
+def _minus(mean: float | None, stddev: float | None) -> float | None:
+    return None if mean is None or stddev is None else mean - BAND * stddev
+
+
+def _on(share: float, colours: Colours) -> str:
+    """Return the colour of a text on a cell."""
+    return "#000000" if share > 0.5 else colours.text

@@ -1,0 +1,111 @@
+"""Plots of variables and diagnostics over the evaluations, as options of Apache ECharts."""
+
+from __future__ import annotations
+
+import math
+
+from mobo_tuner.client import Evaluation
+from mobo_tuner.core.problem import Variable
+from mobo_tuner.displays.settings import labelled
+from mobo_tuner.page.board import RunBoard
+from mobo_tuner.page.chart_parts import (
+    ERROR_BAR,
+    Colours,
+    Options,
+    axis,
+    finite,
+    marks,
+    options,
+    scatter,
+    thinned,
+    title,
+)
+from mobo_tuner.page.words import measured
+
+
+def variable(run: RunBoard, variable: Variable, colours: Colours) -> Options:
+    """Return the plot of a variable over the evaluations, between its bounds."""
+    name = variable.name
+    made = [e for e in thinned(run.evaluations) if name in e.setpoint]
+    bounds = [{"yAxis": variable.minimum}, {"yAxis": variable.maximum}]
+    return options(
+        colours,
+        title=title(labelled(name, variable.unit), colours),
+        grid=[{"left": 54, "right": 14, "top": 34, "bottom": 26}],
+        xAxis=[axis("", colours, 0, min=0, minInterval=1)],
+        yAxis=[axis("", colours, 0)],
+        series=[
+            {
+                **scatter(
+                    "set-point",
+                    [_trace(e, e.setpoint[name], variable.unit) for e in made if e.valid],
+                    *("circle", 5, colours.front),
+                ),
+                "markLine": marks(bounds, colours),
+            },
+            scatter(
+                "failed",
+                [_trace(e, e.setpoint[name], variable.unit) for e in made if not e.valid],
+                *("path://M0,0L8,8M8,0L0,8", 8, colours.failed),
+                line=2,
+            ),
+        ],
+    )
+
+
+def diagnostic(run: RunBoard, name: str, unit: str, colours: Colours) -> Options:
+    """Return the plot of a diagnostic over the evaluations, with error bars and its limits."""
+    problem = run.problem
+    assert problem is not None
+    known = [
+        (e, *e.diagnostics[name])
+        for e in thinned(run.evaluations)
+        if math.isfinite(e.diagnostics.get(name, (math.nan, math.nan))[0])
+    ]
+    bars = []
+    for evaluation, mean, stddev in known:
+        spread = stddev if math.isfinite(stddev) else 0.0
+        bars.append([evaluation.index + 1, mean, mean, mean - spread, mean + spread])
+    limits = [
+        limit
+        for c in problem.constraints
+        if c.name == name
+        for limit in (c.minimum, c.maximum)
+        if math.isfinite(limit)
+    ]
+    return options(
+        colours,
+        title=title(labelled(name, unit), colours),
+        grid=[{"left": 54, "right": 14, "top": 34, "bottom": 26}],
+        xAxis=[axis("", colours, 0, min=0, minInterval=1)],
+        yAxis=[axis("", colours, 0)],
+        series=[
+            {
+                "type": "custom",
+                "name": "standard deviation",
+                "silent": True,
+                "data": bars,
+                "encode": {"x": 0, "y": [3, 4]},
+                ":renderItem": ERROR_BAR,
+                "itemStyle": {"color": colours.others},
+            },
+            {
+                **scatter(
+                    "feasible",
+                    [_trace(e, mean, unit, stddev) for e, mean, stddev in known if e.feasible],
+                    *("circle", 5, colours.front),
+                ),
+                "markLine": marks([{"yAxis": limit} for limit in limits], colours),
+            },
+            scatter(
+                "infeasible",
+                [_trace(e, mean, unit, stddev) for e, mean, stddev in known if not e.feasible],
+                *("triangle", 7, colours.infeasible),
+            ),
+        ],
+    )
+
+
+def _trace(evaluation: Evaluation, value: float, unit: str, stddev: float = math.nan) -> Options:
+    text = f"evaluation {evaluation.index}\n{measured(value, stddev, unit)}"
+    return {"name": text, "value": [evaluation.index + 1, finite(value), evaluation.index]}
