@@ -1,0 +1,157 @@
+"""Tables and the picture of the comparison, from the results alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.campaign import Results
+from experiments.peers.problems import HELD_OUT
+
+TITLES = {
+    "default": ("default", "tab:green"),
+    "paper": ("`paper`", "tab:blue"),
+    "xopt": ("Xopt MOBO", "tab:purple"),
+    "botorch": ("BoTorch qLogNEHVI", "tab:orange"),
+    "nsga2": ("pymoo NSGA-II", "tab:red"),
+    "random": ("random", "tab:gray"),
+    "perfect": ("perfect knowledge", "black"),
+}
+PEERS = ("xopt", "botorch", "nsga2", "random")
+LEVEL = 0.005  # of the hypervolume: less is a tie
+
+
+def label(method: str, noise: float) -> str:
+    """Return the label of the runs of a method with a noise."""
+    return method if noise == 0.0 else f"{method}, {100 * noise:g} % noise"
+
+
+class Duel(NamedTuple):
+    """Default against a peer on one problem and seed.
+
+    Attributes:
+        problem: Problem.
+        early: Ratio of the hypervolumes after 30 evaluations, or at the end if there are fewer.
+        late: Ratio of the hypervolumes at the end.
+        needed: Evaluations that ours needs for the peer's last hypervolume, as a share of those that the peer needed;
+            infinite if ours does not reach it.
+    """
+
+    problem: str
+    early: float
+    late: float
+    needed: float
+
+
+def duels(all_results: Mapping[str, Results], peer: str, noise: float) -> list[Duel]:
+    """Return the duels of the default strategy with a peer, of all seeds that both have finished."""
+    found = []
+    for problem, results in all_results.items():
+        ours, theirs = (results.runs.get(label(m, noise), {}) for m in ("default", peer))
+        for seed in sorted(ours.keys() & theirs.keys()):
+            if "stopped" in theirs[seed]:
+                continue
+            a, b = (np.array(runs[seed]["hypervolumes"]) for runs in (ours, theirs))
+            n = min(len(a), len(b))
+            a, b = a[:n], b[:n]
+            last = b[-1]
+            reach = [np.flatnonzero(curve >= last * (1.0 - 1e-9)) for curve in (a, b)]
+            needed = (reach[0][0] + 1) / (reach[1][0] + 1) if len(reach[0]) else np.inf
+            early = min(30, n) - 1
+            found.append(Duel(problem, _ratio(a[early], b[early]), _ratio(a[-1], last), needed))
+    return found
+
+
+def _ratio(a: float, b: float) -> float:
+    return 1.0 if a == b else float(a / b) if b > 0.0 else np.inf
+
+
+def summary(all_results: Mapping[str, Results], noise: float) -> list[str]:
+    """Return the table of the default strategy against each peer, on held-out and on other problems."""
+    lines = [
+        "| default against | problems | duels | ahead or level after 30, at the end | ahead at the end | "
+        "evaluations needed (median ratio) | worst at the end |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for peer in PEERS:
+        every = duels(all_results, peer, noise)
+        for name, held_out in (("held-out", True), ("others", False)):
+            fought = [duel for duel in every if (duel.problem in HELD_OUT) == held_out]
+            if not fought:
+                continue
+            early, late = (np.array([getattr(d, n) for d in fought]) for n in ("early", "late"))
+            worst = fought[int(late.argmin())]
+            lines.append(
+                f"| {TITLES[peer][0]} | {name}, {len({d.problem for d in fought})} | {len(fought)} "
+                f"| {np.mean(early >= 1.0 - LEVEL):.0%}, {np.mean(late >= 1.0 - LEVEL):.0%} "
+                f"| {np.mean(late > 1.0 + LEVEL):.0%} "
+                f"| {np.median([d.needed for d in fought]):.2f} "
+                f"| {worst.late:.3f} ({worst.problem}) |"
+            )
+    return lines
+
+
+def details(all_results: Mapping[str, Results], noise: float) -> list[str]:
+    """Return the table of every problem and method."""
+    lines = [
+        "| problem | method | seeds | after 30 | at the end | worst seed | suggestion [s] | stopped |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for problem, results in all_results.items():
+        best = max(
+            (
+                float(np.median(curves[:, -1]))
+                for method in TITLES
+                if method != "perfect" and (curves := results.curves(label(method, noise))).size
+            ),
+            default=0.0,
+        )
+        for method, (title, _) in TITLES.items():
+            records = results.records(label(method, noise))
+            if not records or best <= 0.0:
+                continue
+            whole = [r for r in records if "stopped" not in r]
+            stopped = [f"{r['stopped']}" for r in records if "stopped" in r]
+            ends = np.array([r["hypervolumes"][-1] for r in whole]) / best
+            early = np.array([r["hypervolumes"][:30][-1] for r in whole]) / best
+            n = max((len(r["hypervolumes"]) for r in whole), default=0)
+            cells = (
+                [f"{np.median(early):.3f}", f"{np.median(ends):.3f} ({n})", f"{ends.min():.3f}"]
+                if len(whole)
+                else ["–"] * 3
+            )
+            times = [r["suggestion"] for r in records if "suggestion" in r]
+            cells.append(f"{np.median(times):.2g}" if times else "–")
+            cells.append(f"after {', '.join(stopped)}" if stopped else "")
+            lines.append(f"| {problem} | {title} | {len(records)} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def draw(all_results: Mapping[str, Results], noise: float) -> Figure:
+    """Draw the hypervolume against evaluations of every problem: medians and quartiles."""
+    shown = {n: r for n, r in all_results.items() if any(label(m, noise) in r.runs for m in TITLES)}
+    columns = 4
+    rows = max(-(-len(shown) // columns), 1)
+    figure = Figure(figsize=(12.0, 2.6 * rows + 0.6))
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    lines = {}
+    for axes, (problem, results) in zip(panels, shown.items(), strict=False):
+        axes.set_title(problem + (" (held out)" if problem in HELD_OUT else ""), fontsize=9)
+        for method, (title, color) in TITLES.items():
+            curves = results.curves(label(method, noise))
+            if not curves.size:
+                continue
+            n = np.arange(1, curves.shape[1] + 1)
+            low, middle, high = np.quantile(curves, [0.25, 0.5, 0.75], axis=0)
+            style = "--" if method == "perfect" else "-"
+            (lines[title.strip("`")],) = axes.plot(n, middle, style, color=color, linewidth=1.3)
+            axes.fill_between(n, low, high, color=color, alpha=0.2, linewidth=0.0)
+    for axes in panels[len(shown) :]:
+        axes.set_visible(False)
+    figure.supxlabel("evaluations", fontsize=9)
+    figure.supylabel("hypervolume", fontsize=9)
+    figure.legend(lines.values(), lines.keys(), loc="outside upper center", ncols=len(TITLES))
+    return figure
