@@ -74,7 +74,7 @@ def _hypervolumes(benchmark: Benchmark, outputs: FloatArray) -> FloatArray:
     problem = benchmark.problem
     n_objectives = len(problem.objectives)
     limits = np.array([c.maximum for c in problem.constraints])
-    feasible = (outputs[:, n_objectives:] <= limits).all(axis=1)
+    feasible = np.all(outputs[:, n_objectives:] <= limits, axis=1).tolist()
     boxes = BoxDecomposition(problem.reference_point)
     gains = [
         boxes.add(row[:n_objectives]) if met else 0.0
