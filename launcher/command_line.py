@@ -127,6 +127,13 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
     run.add_argument(
         "--run-id", metavar="ID", type=_run_id, help="name of the run (default: the time)"
     )
+    run.add_argument(
+        "--warm-start",
+        metavar="SOURCE",
+        nargs="+",
+        default=[],
+        help="runs, bags, tables (CSV) or archives of Badger or Xopt (YAML) whose evaluations the run begins with",
+    )
     _add_machine(run, "the choice of the parameter file")
     _add_surroundings(run, "that of the file")
 

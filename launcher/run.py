@@ -22,7 +22,16 @@ from launcher.errors import LauncherError, RunFolderError, UsageError
 from launcher.machine import MACHINE_NODES, Machine, shared_domain
 from launcher.page import PageDoor
 from launcher.processes import Interrupted
-from launcher.programs import CONSOLE, PAGE, RECORDER, THREADS, TUNER, Project, open_project
+from launcher.programs import (
+    CONSOLE,
+    LONG,
+    PAGE,
+    RECORDER,
+    THREADS,
+    TUNER,
+    Project,
+    open_project,
+)
 from launcher.ros_domain import RosDomain
 from launcher.run_folder import CONFIG_FILE, RunFolder, process_start
 from launcher.supervisor import Command, Conclusion, Launch, Supervisor, interrupted
@@ -85,11 +94,12 @@ def run(options: argparse.Namespace) -> None:
             machine = Machine(command=options.machine or "")
             checked = _check(project, config, Path(scratch), machine)
             _check_speed(options, checked.machine)
+            data = _old_data(project, config, runs_dir, options) if options.warm_start else None
             domain = open_domain(options, checked.machine)
             folder = RunFolder.create(runs_dir, options.run_id, config.stem)
             folder.adopt(checked.copies)
         with domain:
-            _carry_out(project, checked, folder, domain, door, options)
+            _carry_out(project, checked, folder, domain, door, options, data)
 
 
 def resume(options: argparse.Namespace) -> None:
@@ -124,6 +134,36 @@ def resume(options: argparse.Namespace) -> None:
             folder.adopt(checked.copies)
         with domain:
             _carry_out(project, checked, folder, domain, door, options, earlier.run_id)
+
+
+def _old_data(project: Project, config: Path, runs_dir: Path, options: argparse.Namespace) -> str:
+    """Collect the evaluations of `--warm-start` in a folder beside the runs, which the run resumes.
+
+    Returns:
+        Name of the folder.
+
+    Raises:
+        UsageError, RunFolderError: If a source cannot be read, or nothing of it fits.
+    """
+    sources = [
+        Path(name) if Path(name).exists() else RunFolder.find(name, runs_dir).path
+        for name in options.warm_start
+    ]
+    name = f"{options.run_id[:90]}-data" if options.run_id else None
+    folder = RunFolder.create(runs_dir, name, f"{config.stem}-data")
+    given = {key: getattr(options, key) for key in ("evaluations", "seed")}
+    further = [f"--{key}={value}" for key, value in given.items() if value is not None]
+    try:
+        said = project.ask(
+            "mobo_tuner.nodes.warm_start", config, folder.path, *sources, *further, timeout=LONG
+        )
+    except LauncherError:
+        shutil.rmtree(folder.path, ignore_errors=True)
+        raise
+    folder.record({"run_id": folder.run_id, "state": "old data", "started": now()})
+    options.evaluations = None  # the journal has the budget, old evaluations included
+    print(said, end="", flush=True)
+    return folder.run_id
 
 
 def _stages(options: argparse.Namespace) -> Sequence[Stage]:

@@ -29,7 +29,7 @@ data_files = [
     ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
     (f"share/{NAME}", ["package.xml"]),
     (f"share/{NAME}/launch", sorted(glob("launch/*.launch.xml"))),
-    (f"share/{NAME}/config", sorted(glob("config/*.yaml"))),
+    (f"share/{NAME}/config", sorted(glob("config/*.yaml") + glob("config/*.csv"))),
     (f"share/{NAME}/config/presets", sorted(glob("config/presets/*.yaml"))),
 ]
 if "bdist_wheel" in sys.argv:  # colcon puts the executables there by setup.cfg, pip does not
