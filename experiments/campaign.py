@@ -130,10 +130,10 @@ class Results:
         Args:
             run: Run.
             record: Its result.
-            seconds: CPU time [s].
+            seconds: CPU time [s], unless the result says what it took in all.
             about: Command, versions and date.
         """
-        kept = record | {"seconds": round(seconds, 1), "version": run.version}
+        kept = {"seconds": round(seconds, 1)} | record | {"version": run.version}
         self.runs.setdefault(run.label, {})[run.seed] = kept
         self.about = about
         self.path.parent.mkdir(parents=True, exist_ok=True)
