@@ -20,6 +20,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
 
@@ -195,10 +196,15 @@ def compute(plan: Sequence[PlannedRun], results: Results, command: str, workers:
         for run in missing:
             keep(run, run.compute())
         return
-    with ProcessPoolExecutor(workers, initializer=_end_with_parent) as executor:
+    with ProcessPoolExecutor(workers, get_context("spawn"), _end_with_parent) as executor:
         futures = {executor.submit(run.compute): run for run in missing}
-        for future in as_completed(futures):
-            keep(futures[future], future.result())
+        try:
+            for future in as_completed(futures):
+                keep(futures[future], future.result())
+        except BaseException:
+            for process in active_children():  # otherwise the pool would wait for their runs
+                process.terminate()
+            raise
 
 
 def _end_with_parent() -> None:

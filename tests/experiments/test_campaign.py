@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -23,13 +24,12 @@ def plan(factor: float, seeds: int = 3) -> list[PlannedRun]:
     return [PlannedRun("method", seed, made, {"factor": factor}) for seed in range(seeds)]
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_finished_runs_are_kept_and_not_repeated(tmp_path: Path, workers: int) -> None:
+def test_finished_runs_are_kept_and_not_repeated(tmp_path: Path) -> None:
     path = tmp_path / "toy.json"
-    compute(plan(2.0, seeds=2), Results(path), "first", workers)
+    compute(plan(2.0, seeds=2), Results(path), "first")
     results = Results(path)
     assert [run.seed for run in results.missing(plan(2.0))] == [2]
-    compute(plan(2.0), results, "second", workers)
+    compute(plan(2.0), results, "second")
     np.testing.assert_array_equal(
         Results(path).curves("method"), [[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]]
     )
@@ -54,6 +54,22 @@ def test_a_run_that_fails_leaves_the_others(tmp_path: Path) -> None:
     with pytest.raises(TypeError):
         compute([*plan(2.0, 1), PlannedRun("method", 1, made, {})], Results(path), "command")
     assert Results(path).curves("method").shape == (1, 2)
+
+
+def sleep_or_fail(seed: int) -> Record:
+    if seed == 1:
+        time.sleep(300.0)
+    if seed == 2:
+        raise ValueError("seed 2 fails")
+    return {"hypervolumes": [1.0]}
+
+
+def test_a_failure_in_one_process_ends_the_others(tmp_path: Path) -> None:
+    path = tmp_path / "toy.json"
+    runs = [PlannedRun("method", seed, sleep_or_fail) for seed in range(3)]
+    with pytest.raises(ValueError, match="seed 2"):  # long before the second run would be over
+        compute(runs, Results(path), "command", workers=2)
+    assert list(Results(path).runs["method"]) == [0]
 
 
 def test_every_experiment_plans_different_runs() -> None:
