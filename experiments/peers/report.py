@@ -124,7 +124,7 @@ def details(all_results: Mapping[str, Results], noise: float) -> list[str]:
                 else ["–"] * 3
             )
             times = [r["suggestion"] for r in records if "suggestion" in r]
-            cells.append(f"{np.median(times):.2g}" if times else "–")
+            cells.append(f"{max(np.median(times), 0.001):.2g}" if times else "–")
             cells.append(f"after {', '.join(stopped)}" if stopped else "")
             lines.append(f"| {problem} | {title} | {len(records)} | " + " | ".join(cells) + " |")
     return lines
