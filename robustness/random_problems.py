@@ -2,8 +2,9 @@
 
     python -m robustness.random_problems --problems 2000
 
-Variables are continuous, on a grid, from a list, logarithmic or fixed, with linear limits between them; a
-problem of few set-points must try each before it repeats one.
+Variables are continuous, on a grid, from a list, logarithmic or fixed, with linear limits between them; objectives
+may be derived by a formula, a constraint may have to be believed safe, and suggestions may have to keep near to what
+was measured. A problem of few set-points must try each before it repeats one.
 """
 
 from __future__ import annotations
@@ -15,9 +16,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import hypothesis
+import numpy as np
 from hypothesis import strategies as st
 
 from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.core.safety import DISTANCE, is_guarded, trust_distance, was_safe
 
 CHEAP = {"screened": 32, "screened_nearby": 16, "far_starts": 4, "near_starts": 4, "finished": 2}
 CHEAP |= {"steps": 3, "evaluations": 8}
@@ -66,19 +69,25 @@ def problems(draw: st.DrawFn) -> Problem:
         if draw(st.booleans()):
             ends["min"] = value - draw(st.floats(1e-3, 0.5)) * extent
         limits[f"sum{i}"] = weights | ends
-    if limits:
-        return Problem.from_dict({"variables": entries, "objectives": objectives, "limits": limits})
-    return free
+    mapping: dict[str, Any] = {"variables": entries, "objectives": objectives, "limits": limits}
+    if draw(st.booleans()):
+        formula = f"sqrt(f0 + 1) + {draw(_widths)} * abs(x0) / (1 + abs(x0))"
+        mapping["derived"] = {"q": {"formula": formula}}
+        mapping["objectives"] = {**objectives, "q": {"reference": 2e3}}
+    if draw(st.booleans()):
+        safe = {"safe": draw(st.sampled_from([0.5, 0.95, 0.999]))} if draw(st.booleans()) else {}
+        mapping["constraints"] = {"g": {"max": draw(st.floats(0.2, 1.0)), **safe}}
+    return Problem.from_dict(mapping)
 
 
 def measure(problem: Problem, setpoint: Mapping[str, float]) -> dict[str, float]:
     """Return smooth objectives of a set-point, of which one fails near a corner."""
     x = problem.normalize(setpoint)
     values = [float(((x - 0.3) ** 2).mean()), float(((x + 0.4) ** 2).mean())]
-    return {
-        o.name: math.nan if x.sum() > 0.9 * len(x) else value
-        for o, value in zip(problem.objectives, values, strict=False)
-    }
+    measured = dict(zip(("f0", "f1"), values, strict=True))
+    if x.sum() > 0.9 * len(x):
+        measured = dict.fromkeys(measured, math.nan)
+    return {**measured, "g": float(np.abs(x).mean())}
 
 
 def check(problem: Problem, setpoint: Mapping[str, float]) -> None:
@@ -103,13 +112,18 @@ def check_problem(problem: Problem, seed: int, proximal: bool) -> None:
         AssertionError: If a suggestion is not allowed, or comes again before all were made.
     """
     assert Problem.from_dict(problem.to_dict()) == problem
+    trust = 0.1 if seed % 3 == 0 else 0.0
     optimizer = Optimizer(
         problem,
         seed=seed,
         maximizer_settings=CHEAP,
         initial_evaluations=4,
         proximal="costs" if proximal else None,
+        trust_distance=trust,
     )
+    if is_guarded(problem, optimizer.settings):
+        check_guarded(optimizer)
+        return
     distinct = len(problem.domain.points()) if problem.domain.size <= 16 else math.inf
     asked: list[tuple[float, ...]] = []
     for _ in range(4 + AFTER_THE_DESIGN):
@@ -120,6 +134,26 @@ def check_problem(problem: Problem, seed: int, proximal: bool) -> None:
         optimizer.tell(setpoint, measure(problem, setpoint))
     for point in optimizer.predicted_front(8):
         check(problem, point["setpoint"])
+
+
+def check_guarded(optimizer: Optimizer) -> None:
+    """Tune for a few evaluations from a point on that is safe.
+
+    Raises:
+        AssertionError: If a suggestion is not allowed, or far from everything that was safe.
+    """
+    problem = optimizer.problem
+    domain = problem.domain
+    start = problem.denormalize(domain.nearest(np.zeros((1, len(problem.variables))))[0])
+    optimizer.tell(start, {"f0": 1.0, "f1": 1.0, "g": 0.0})
+    first = optimizer.settings.trust_distance or DISTANCE
+    for _ in range(4 + AFTER_THE_DESIGN):
+        safe = was_safe(optimizer.dataset)
+        setpoint = optimizer.ask()
+        check(problem, setpoint)
+        distances = np.abs(optimizer.dataset.inputs[safe] - problem.normalize(setpoint)).max(axis=1)
+        assert distances.min() <= trust_distance(safe, first) * (1.0 + 1e-6), setpoint
+        optimizer.tell(setpoint, measure(problem, setpoint))
 
 
 def search(count: int) -> None:

@@ -34,6 +34,7 @@ from mobo_tuner.core.optimizer_state import (
 from mobo_tuner.core.predicted_front import predict_front
 from mobo_tuner.core.problem import Array, Problem, ProblemError
 from mobo_tuner.core.resolution import SAME
+from mobo_tuner.core.safety import SafeSearch, is_guarded, was_safe
 from mobo_tuner.core.settings import make_settings
 
 Source = Literal["initial", "model"]
@@ -311,8 +312,13 @@ class Optimizer:
 
     def _next(self, archive: Archive) -> dict[str, float]:
         """Return the next set-point by what an archive knows or expects."""
-        search = CandidateSearch(archive, self.settings, self.seed)
         index = len(archive.dataset)
+        if is_guarded(archive.problem, self.settings):
+            self._last_source = "initial" if index < self.initial_evaluations else "model"
+            with single_blas_thread():
+                safe = SafeSearch(archive, self.settings, self.seed).candidate()
+            return self.problem.denormalize(safe)
+        search = CandidateSearch(archive, self.settings, self.seed)
         if index < self.initial_evaluations:
             self._last_source = "initial"
             return self.problem.denormalize(search.initial_point(index))
@@ -360,12 +366,19 @@ class Optimizer:
                     return function.log_value(x)
         return np.full(len(x), math.nan)
 
+    @property
+    def needs_start(self) -> bool:
+        """Whether suggestions must be near and safe, and no evaluation is, from which they could begin."""
+        return is_guarded(self.problem, self.settings) and not was_safe(self.dataset).any()
+
     def catch_up(self) -> None:
         """Update the models as `ask` would, without the search.
 
         A run is replayed quickly by it; later suggestions are unaffected.
         """
-        if len(self.dataset) >= self.initial_evaluations:
+        if is_guarded(self.problem, self.settings) or (
+            len(self.dataset) >= self.initial_evaluations
+        ):
             self.archive.update()
             if self.archive.models.ready:
                 self._search().acquisition_function()

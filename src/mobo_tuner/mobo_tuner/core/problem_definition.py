@@ -116,6 +116,7 @@ def definition_of(quantities: Quantities) -> dict[str, dict[str, dict[str, Any]]
             }
             | {"unit": c.unit}
             | ({"critical": True} if c.critical else {})
+            | ({"safe": c.safe} if c.safe else {})
             | _invalid_entry(c)
             for c in quantities.constraints
         },
@@ -407,13 +408,16 @@ def _objective(name: str, entry: Mapping[str, Any]) -> Objective:
 
 def _constraint(name: str, entry: Mapping[str, Any]) -> Constraint:
     where = f"constraints.{name}"
-    check_names(where, entry, ("min", "max", "unit", "critical", "invalid"))
+    check_names(where, entry, ("min", "max", "unit", "critical", "safe", "invalid"))
     low, high = _ends(where, entry)
     critical = entry.get("critical", False)
     if not isinstance(critical, bool):
         raise ProblemError(f"{where}.critical must be true or false, not {describe(critical)}")
+    safe = as_number(f"{where}.safe", entry.get("safe", 0.0))
+    if safe and not 0.5 <= safe < 1.0:
+        raise ProblemError(f"{where}.safe is {safe:g}; 0, or from 0.5 to less than 1, is allowed")
     unit = as_string(f"{where}.unit", entry.get("unit", ""))
-    return Constraint(name, low, high, unit, critical, _invalid(where, entry))
+    return Constraint(name, low, high, unit, critical, _invalid(where, entry), safe)
 
 
 def _observable(name: str, entry: Mapping[str, Any]) -> Observable:

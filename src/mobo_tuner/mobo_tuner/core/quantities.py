@@ -165,6 +165,7 @@ class Constraint:
         unit: Unit.
         critical: Whether no single shot may violate it: the machine ends an evaluation that does.
         invalid: Readings that mean that nothing was measured [`unit`].
+        safe: Probability with which the models must believe that a suggestion meets it; 0 = any.
     """
 
     name: str
@@ -173,6 +174,7 @@ class Constraint:
     unit: str = ""
     critical: bool = False
     invalid: tuple[float, ...] = ()
+    safe: float = 0.0
 
     def is_met(self, value: float) -> bool:
         """Return whether a measured value meets the limit; NaN does not."""

@@ -82,6 +82,14 @@ class OptimizerSettings(GaussianProcessSettings):
         choices=(COSTS,),
         matrix=True,
     )
+    trust_distance: float = parameter(
+        0.0,
+        "First distance, as a share of each variable's range, from what was measured and safe within which "
+        "the next set-point must be: the first one is where the machine is, and the distance grows with each "
+        "safe evaluation. 0 = anywhere, or 0.05 if a constraint must be `safe`.",
+        minimum=0.0,
+        maximum=1.0,
+    )
     maximizer: str = parameter(
         "multi_start", "How the acquisition function is maximised.", choices=MAXIMIZERS
     )

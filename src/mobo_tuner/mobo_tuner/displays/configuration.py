@@ -132,7 +132,8 @@ def _objective(objective: Objective) -> tuple[str, str]:
 def _constraint(constraint: Constraint) -> tuple[str, str]:
     text = _ends_of(constraint)
     critical = ", critical: one shot beyond it ends the evaluation" if constraint.critical else ""
-    return constraint.name, _quantity(text, constraint.unit) + critical
+    safe = f", believed with {constraint.safe:g} at every suggestion" if constraint.safe else ""
+    return constraint.name, _quantity(text, constraint.unit) + critical + safe
 
 
 def _ends_of(limit: Constraint | Limit) -> str:

@@ -108,7 +108,13 @@ def compare(history: History) -> list[Comparison]:
     comparisons = []
     for step in history.steps:
         if isinstance(step, EvaluationRecord):
-            asked = optimizer.ask()
+            if (
+                step.source == "operator"
+            ):  # not compared; a search that must be safe may have no start yet
+                optimizer.catch_up()
+                asked = dict(step.setpoint)
+            else:
+                asked = optimizer.ask()
             comparisons.append(Comparison(step.index, step.source, step.setpoint, asked))
         optimizer = take_step(optimizer, step, history.model_input)
     return comparisons

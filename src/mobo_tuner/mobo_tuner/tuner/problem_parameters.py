@@ -123,6 +123,13 @@ QUANTITY_PARAMETERS = tuple(
             "Whether one shot that violates it ends the evaluation.",
             True,
         ),
+        (
+            "constraints",
+            "safe",
+            "number, 0.0",
+            "Probability, such as 0.95, with which the models must believe that a suggestion meets it; the first "
+            "evaluation is where the machine is. 0 = any.",
+        ),
         ("constraints", "invalid", "list of numbers, empty", _INVALID),
         ("constraints", "unit", "text, empty", _UNIT),
         ("observables", "invalid", "list of numbers, empty", _INVALID),

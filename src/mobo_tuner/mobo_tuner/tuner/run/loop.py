@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -29,6 +30,7 @@ from mobo_tuner.tuner.session import Session
 CHUNK = 20  # evaluations of an earlier run that are published before the next wait
 TIME_PERIOD = 1.0  # [s] between two looks at the time of a run
 ACKNOWLEDGE_TIMEOUT = 2.0  # [s] for the subscribers to receive a chunk
+_OUTSIDE = 0.02  # distance of a readback from its bounds, where a variable spans 2, that is noise
 _AT_ONCE = Duration(nanoseconds=1)
 _CODES = Tune.Result
 _BY_ITSELF = (
@@ -220,9 +222,35 @@ class RunLoop:
             run.meet(machine)
         except (MachineLostError, ProblemError) as error:
             raise RunError(_CODES.MACHINE_UNAVAILABLE, str(error)) from None
+        if run.optimizer.needs_start and not run.index:
+            await self._start_from_present(run)
         await self._fallbacks.prepare(run)
         context.status.work(msg.TunerStatus.SUGGESTING, "")
         context.log.info(f"run '{run.run_id}' tunes '{machine.name}'")
+
+    async def _start_from_present(self, run: Run) -> None:
+        """Let a run whose suggestions must be safe begin where the machine is.
+
+        Raises:
+            RunError: If the machine does not say where it is, or is outside the bounds.
+        """
+        try:
+            present = await self._context.gate.where(run.interrupt)
+        except MachineLostError as error:
+            raise RunError(_CODES.MACHINE_UNAVAILABLE, str(error)) from None
+        if present is None:
+            return
+        for variable in run.problem.variables:
+            value = present.get(variable.name, math.nan)
+            if not abs(variable.normalize(value)) <= 1.0 + _OUTSIDE:
+                raise RunError(
+                    _CODES.MACHINE_UNAVAILABLE,
+                    f"the run must begin where the machine is, whose {variable.name} is {value:g}; "
+                    f"{variable.minimum:g} to {variable.maximum:g} is allowed",
+                )
+        run.present = {
+            v.name: v.denormalize(v.normalize(present[v.name])) for v in run.problem.variables
+        }
 
     async def _publish_earlier(self, run: Run) -> None:
         """Publish the evaluations with which a run begins, no faster than they are received."""

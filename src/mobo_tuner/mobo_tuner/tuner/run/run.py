@@ -121,6 +121,7 @@ class Run:
         state_before: Readbacks before the run; None if no fallback needs them.
         by_client: Whether a client asks and tells by itself.
         changeable: Whether its problem and budget may be changed.
+        present: Where the machine was at the start, if the first evaluation must be there.
         begun: Number of evaluations that have begun.
         evaluating: Whether an evaluation is in flight, also while it waits for its next attempt.
         obstructed: Whether that evaluation waits until the machine is back, allows to move, or an operator
@@ -145,6 +146,7 @@ class Run:
     state_before: dict[str, float] | None = None
     by_client: bool = False
     changeable: bool = True
+    present: Mapping[str, float] | None = None
     begun: int = 0
     evaluating: bool = False
     obstructed: bool = False
@@ -227,6 +229,8 @@ class Run:
             expecting: Whether the expected gain is wanted, too.
         """
         started = time.perf_counter()
+        if self.present is not None and not self.index:
+            return Suggestion(dict(self.present), "operator", 0.0)
         setpoint = self.optimizer.ask()
         gain = self.optimizer.expected_gain(setpoint) if expecting else math.nan
         seconds = time.perf_counter() - started

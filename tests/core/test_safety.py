@@ -1,0 +1,72 @@
+"""Suggestions that are near what was measured, and believed safe."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rclpy.node import Node
+
+from experiments.safe import CASES, EVALUATIONS, run
+from mobo_msgs_py.action import Tune
+from mobo_tuner.core import Optimizer, Problem, ProblemError
+from mobo_tuner.core.safety import trust_distance
+from mobo_tuner.runs.history import History
+from mobo_tuner.runs.journal import read_journal
+from mobo_tuner.runs.replay import compare
+from robustness.offline_run import TOY, toy
+from tests.support.processes import NodeProcess
+from tests.support.tuner import GoalClient, toy_machine
+
+
+def test_the_trust_distance_grows_with_safe_evaluations_and_shrinks_after_others() -> None:
+    grown = trust_distance(np.array([True] * 5), 0.05)
+    assert grown > trust_distance(np.array([True]), 0.05) > 0.1
+    assert trust_distance(np.array([True] * 5 + [False]), 0.05) < grown
+    assert trust_distance(np.array([True] * 100), 0.05) == 2.0
+    assert trust_distance(np.array([False] * 100), 0.05) > 0.0
+
+
+def test_every_suggestion_is_near_an_evaluation_before() -> None:
+    problem = Problem.from_dict({**TOY, "constraints": {}})
+    optimizer = Optimizer(problem, seed=1, trust_distance=0.05, initial_evaluations=4)
+    with pytest.raises(ProblemError, match="the first one"):
+        optimizer.ask()
+    assert optimizer.needs_start
+    optimizer.catch_up()
+    optimizer.tell({"x1": 1.5, "x2": -1.5}, toy({"x1": 1.5, "x2": -1.5}))
+    for _ in range(6):
+        reach = trust_distance(optimizer.dataset.valid, 0.05)
+        setpoint = optimizer.ask()
+        assert optimizer.ask() == setpoint
+        distances = np.abs(optimizer.dataset.inputs - problem.normalize(setpoint)).max(axis=1)
+        assert 0.0 < distances.min() <= reach * (1.0 + 1e-6)
+        optimizer.tell(setpoint, toy(setpoint))
+    assert optimizer.last_source == "model"
+
+
+def test_a_safe_run_violates_nothing_that_a_usual_one_does() -> None:
+    [case] = [case for case in CASES if case.name == "bnh"]
+    soft, safe = run(case, 0, False, 20), run(case, 0, True, 20)
+    assert soft[0] > 0
+    assert safe[0] == 0
+    assert safe[1] > 0.85 * soft[1]
+    assert EVALUATIONS >= 20
+
+
+def test_a_run_begins_where_the_machine_is(
+    start_tuner: Callable[..., NodeProcess], client: GoalClient, node: Node, tmp_path: Path
+) -> None:
+    machine = toy_machine(node)
+    machine.position = {"x1": 0.5, "x2": -0.5}
+    start_tuner("initial_evaluations:=3", config="safe.yaml")
+    client.send(Tune.Goal(run_id="safe", evaluations=6))
+    assert client.wait(60.0).error_code == 0
+    asked = [{item.name: item.value for item in goal.setpoint} for goal in machine.goals]
+    assert asked[0] == {"x1": 0.5, "x2": -0.5}
+    assert max(abs(asked[1]["x1"] - 0.5), abs(asked[1]["x2"] + 0.5)) < 0.3
+    history = History.from_records(read_journal(tmp_path / "runs" / "safe"))
+    assert not any(comparison.differs for comparison in compare(history))
+    assert all(e.feasible for e in history.evaluations)
