@@ -158,4 +158,4 @@ def test_the_verbs_of_the_manual_do_what_it_says(
         if words[0] in AFTERWARDS:
             told = [index if word == "31" else "1" if word == "30" else word for word in words]
             assert carry_out(*told) == 0, (told, capsys.readouterr().err)
-            assert "point" in capsys.readouterr().out
+            assert capsys.readouterr().out

@@ -143,6 +143,9 @@ def test_working_points_are_listed_and_gone_to(shell: Shell) -> None:
     unmeasured = shell("go", "--weights", "f2=2", "--no-measurement")
     assert unmeasured.startswith("at point ")
     assert len(unmeasured.splitlines()) == 1
+    before = shell("go", "--before")
+    assert before.startswith(f"at the state before run {run_id[1]}: x1 = ")
+    assert before.splitlines()[2].split()[:2] == ["f1", "-"]  # nothing is promised there
     assert "4000" in shell.refused("go", "4000", "--run", run_id[1])
     assert "index" in shell.refused("go")
 

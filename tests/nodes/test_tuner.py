@@ -21,6 +21,7 @@ from tests.support.processes import NodeProcess, NodeStarter
 from tests.support.tuner import (
     GoalClient,
     Listener,
+    evaluated,
     journal,
     toy_machine,
     toy_values,
@@ -83,8 +84,8 @@ def test_a_goal_tunes_the_machine_and_everyone_hears_of_it(
     spin_until(lambda: statuses.messages[-1].state == msg.TunerStatus.IDLE, "an idle tuner")
 
     records = journal(tmp_path, "first")
-    assert [r["type"] for r in records] == ["start", *["evaluation"] * 12, "end"]
-    assert [r["hypervolume"] for r in records[1:-1]] == hypervolumes
+    assert [r["type"] for r in records] == ["start", "state", *["evaluation"] * 12, "end"]
+    assert [r["hypervolume"] for r in records[2:-1]] == hypervolumes
 
 
 def test_the_same_seed_gives_the_same_run(
@@ -98,7 +99,7 @@ def test_the_same_seed_gives_the_same_run(
     for run_id in ("a", "b"):
         client.send(Tune.Goal(run_id=run_id, evaluations=8))
         assert client.wait().error_code == 0
-    a, b = ([r["setpoint"] for r in journal(tmp_path, run)[1:-1]] for run in "ab")
+    a, b = ([r["setpoint"] for r in evaluated(tmp_path, run)] for run in "ab")
     assert a == b
 
 
@@ -167,7 +168,7 @@ def test_a_killed_machine_ends_the_run_with_an_error_and_loses_nothing(
     assert result.stop_reason == "error"
     assert len(result.pareto_front.points) >= 1
     records = journal(tmp_path, "killed")
-    assert len(records) == result.evaluations + 2
+    assert len(records) == result.evaluations + 3  # start, state, end
     assert records[-1]["error_msg"] == result.error_msg
 
 
@@ -243,7 +244,7 @@ def test_failed_evaluations_are_recorded_and_the_run_goes_on(
     assert result.error_code == 0
     assert [g.index for g in machine.goals] == list(range(7))
     assert 2 not in {p.index for p in result.pareto_front.points}
-    records = journal(tmp_path, "failing")[1:-1]
+    records = evaluated(tmp_path, "failing")
     assert [r["valid"] for r in records] == [True, True, False, True, True, True, True]
     assert not records[1]["feasible"]  # f2 is missing, what was measured is learned
     assert records[1]["error_code"] == FAILED
@@ -297,7 +298,7 @@ def test_a_signal_ends_run_and_process_in_order(
     assert result.error_msg == "the run was stopped: the tuner was asked to stop"
     records = journal(tmp_path, "stopped")
     assert records[-1]["type"] == "end"
-    assert len(records) == result.evaluations + 2
+    assert len(records) == result.evaluations + 3  # start, state, end
 
 
 def test_a_bad_problem_is_said_and_the_node_does_not_start(

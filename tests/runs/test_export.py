@@ -61,6 +61,27 @@ def test_the_table_has_a_row_per_evaluation_and_columns_by_name(folder: Path, re
     assert table["on_front"].dtype == bool
 
 
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_moves_have_a_table_of_their_own(tmp_path: Path, form: str) -> None:
+    asked = {"stamp": 5.0, "index": 1, "setpoint": {"x1": 2.0}}
+    moves = [
+        {"type": "move", **asked, "purpose": "go", "by": "operator", "evaluation": 0},
+        {"type": "state", "stamp": 6.0, "index": 1, "readbacks": {"x1": 1.5}, "error_msg": ODD},
+        {"type": "move", **asked, "purpose": "restore", "by": "on_abort", "anyway": True},
+    ]
+    write_run(tmp_path, [evaluation(0, {"f1": 5.0, "f2": 5.0}), *moves])
+    assert main([str(tmp_path), "--format", form]) == 0
+    path = tmp_path / f"moves.{form}"
+    table = pandas.read_csv(path, comment="#") if form == "csv" else pandas.read_parquet(path)
+    assert table["purpose"].tolist() == ["go", "restore"]
+    assert table["by"].tolist() == ["operator", "on_abort"]
+    assert table["anyway"].tolist() == [False, True]
+    assert table["x1"].tolist() == [2.0, 2.0]
+    np.testing.assert_equal(table["evaluation"].to_numpy(), [0.0, math.nan])
+    np.testing.assert_equal(table["x1.readback"].to_numpy(), [1.5, math.nan])
+    assert table["error_msg"].tolist() == [ODD, "its end is unknown"]
+
+
 def test_the_units_travel_with_the_table(folder: Path) -> None:
     read_csv(folder)
     first = (folder / "evaluations.csv").read_text().splitlines()[0]

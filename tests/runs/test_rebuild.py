@@ -10,8 +10,8 @@ import pytest
 
 from mobo_tuner.runs.bag_messages import BagError
 from mobo_tuner.runs.journal import JsonRecord, read_journal
-from mobo_tuner.runs.rebuild import main, records_of_bag, runs_of_bag
-from mobo_tuner.runs.records import EndRecord
+from mobo_tuner.runs.rebuild import BaggedRun, main, records_of_bag, runs_of_bag
+from mobo_tuner.runs.records import EndRecord, MoveRecord, StateRecord, to_json
 from robustness.offline_run import OfflineRun, toy, toy_optimizer
 from robustness.synthetic_bag import write_bag
 
@@ -75,6 +75,26 @@ def test_a_bag_that_was_cut_anywhere_holds_the_beginning(
     assert counts == sorted(counts)  # more of a bag never tells less
     assert counts[-1] >= len(steps(runs["one"])) - 2
     assert len(set(counts)) > 5
+
+
+def test_moves_come_where_they_were_made(runs: dict[str, list[JsonRecord]]) -> None:
+    start, *others, end = runs["two"]
+    count = sum(record["type"] == "evaluation" for record in others)
+    before = to_json(StateRecord(1.0, 0, {"x1": 0.5}))
+    last = to_json(MoveRecord(8.0, count, {"x1": 0.5}, "restore", "on_end"))
+    late = [
+        to_json(MoveRecord(11.0, count, {"x1": 0.25}, evaluation=2)),
+        to_json(StateRecord(12.0, count, {"x1": 0.25})),
+    ]
+    bagged = BaggedRun(
+        outline=[start, before, last, *late],
+        evaluations={r["index"]: r for r in others if r["type"] == "evaluation"},
+        end=end,
+    )
+    told = [record for record in others if record["type"] == "evaluation"]
+    assert bagged.journal() == [start, before, *told, last, end, *late]
+    bagged.evaluations.pop(count - 2)  # a part of the bag is damaged
+    assert bagged.journal() == [start, before, *told[:-2]]
 
 
 def test_of_several_runs_one_is_named(runs: dict[str, list[JsonRecord]], tmp_path: Path) -> None:

@@ -10,8 +10,16 @@ from pathlib import Path
 import pytest
 
 from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import FILE_NAME, JournalWriteError, read_journal
-from mobo_tuner.runs.records import ChangeRecord, EndRecord, QueuedRecord, StartRecord
+from mobo_tuner.runs.records import (
+    ChangeRecord,
+    EndRecord,
+    MoveRecord,
+    QueuedRecord,
+    StartRecord,
+    StateRecord,
+)
 from mobo_tuner.runs.run_log import RunLog
 from mobo_tuner.runs.saved_state import SavedState
 
@@ -55,6 +63,32 @@ def test_the_saved_state_knows_how_far_the_run_was(tmp_path: Path) -> None:
     assert saved is not None
     assert (saved.run_id, saved.evaluations, saved.changes) == ("run", 3, 1)
     log.close()
+
+
+def test_moves_are_kept_after_the_end_too(tmp_path: Path) -> None:
+    log = RunLog(tmp_path / "run", START)
+    log.append(StateRecord(0.5, 0, {"x": 0.1}))
+    log.append(EndRecord(1.0, "budget"))
+    log.close()
+    log.append(MoveRecord(2.0, 0, {"x": 0.5}))
+    log.append(StateRecord(3.0, 0, {"x": 0.4}, "it was stopped"))
+    history = History.from_records(read_journal(tmp_path / "run"))
+    assert history.before == {"x": 0.1}
+    moves: list[MoveRecord | StateRecord] = [
+        MoveRecord(2.0, 0, {"x": 0.5}),
+        StateRecord(3.0, 0, {"x": 0.4}, "it was stopped"),
+    ]
+    assert [*history.moves[0]] == moves
+    again = RunLog(tmp_path / "run", START, moves, ended=True)
+    again.append(MoveRecord(4.0, 0, {"x": 0.1}, "restore"))
+    kept = History.from_records(read_journal(tmp_path / "run")).moves
+    assert [move.asked.purpose for move in kept] == ["go", "restore"]
+    assert kept[-1].ended is None
+    assert outlined(again) == ["start", "move", "state", "move"]
+    log.save(Optimizer(PROBLEM, seed=0))
+    saved = SavedState.read(tmp_path / "run")
+    assert saved is not None
+    assert saved.changes == 0
 
 
 def test_a_state_that_cannot_be_written_stops_nothing(tmp_path: Path) -> None:

@@ -157,6 +157,11 @@ def journal(tmp_path: Path, run_id: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in text.splitlines()]
 
 
+def evaluated(tmp_path: Path, run_id: str) -> list[dict[str, Any]]:
+    """The records of the evaluations of a run."""
+    return [record for record in journal(tmp_path, run_id) if record["type"] == "evaluation"]
+
+
 def toy_values(goal: EvaluateSetpoint.Goal) -> dict[str, float]:
     """The paper's toy problem, Eq. (5) (eqn:toy_problem)."""
     x = {item.name: item.value for item in goal.setpoint}

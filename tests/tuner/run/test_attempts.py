@@ -19,7 +19,7 @@ from tests.support.tuner import (
     GoalClient,
     Listener,
     Services,
-    journal,
+    evaluated,
     toy_machine,
     toy_values,
 )
@@ -51,7 +51,7 @@ def test_a_failed_evaluation_is_tried_again_after_longer_and_longer(
     pauses = [later - earlier for earlier, later in itertools.pairwise(machine.times)]
     assert 0.3 < pauses[1] < pauses[2]
     assert pauses[2] > 0.6
-    records = journal(tmp_path, "again")[1:-1]
+    records = evaluated(tmp_path, "again")
     assert [r["attempts"] for r in records] == [1, 3, 3, 1]
     assert [r["valid"] for r in records] == [True, True, False, True]
     assert records[2]["error_msg"] == "no beam"
@@ -102,7 +102,7 @@ def test_answers_to_other_evaluations_are_dropped_with_a_warning(
     tuner = start_tuner()
     client.send(Tune.Goal(run_id="mine", evaluations=5))
     assert client.wait().error_code == 0
-    records = journal(tmp_path, "mine")[1:-1]
+    records = evaluated(tmp_path, "mine")
     assert [r["valid"] for r in records] == [True, False, False, False, True]
     assert [r["diagnostics"] for r in records[1:4]] == [{}, {}, {}]
     for text in (
@@ -131,7 +131,7 @@ def test_a_machine_that_was_silent_is_asked_again_and_its_late_answer_dropped(
     assert "the machine has been silent for 1.0 s; the run waits up to 20 s" in tuner.stderr
     late = "the answer to evaluation 0, attempt 0 of run 'slow' came too late and is dropped"
     spin_until(lambda: late in tuner.stderr, "the warning")
-    records = journal(tmp_path, "slow")[1:-1]
+    records = evaluated(tmp_path, "slow")
     assert [(r["index"], r["attempts"]) for r in records] == [(0, 2), (1, 1), (2, 1)]
 
 
@@ -154,7 +154,7 @@ def test_a_run_goes_on_when_its_machine_returns(
     start_machine("speed:=1000.0", config="awa.yaml")
     result = client.wait(60.0)
     assert (result.error_code, result.stop_reason) == (0, "budget")
-    records = journal(tmp_path, "returns")[1:-1]
+    records = evaluated(tmp_path, "returns")
     assert [r["index"] for r in records] == list(range(5))
     assert all(r["valid"] for r in records)
     assert max(r["attempts"] for r in records) == 2
@@ -226,7 +226,7 @@ def test_a_tuner_that_was_frozen_goes_on_where_it_was(
     tuner.popen.send_signal(signal.SIGCONT)
     result = client.wait(60.0)
     assert (result.error_code, result.evaluations) == (0, 4)
-    records = journal(tmp_path, "frozen")[1:-1]
+    records = evaluated(tmp_path, "frozen")
     assert all(r["valid"] for r in records)
     assert max(r["attempts"] for r in records) >= 2
 
@@ -259,7 +259,7 @@ def test_an_interlock_that_passes_is_waited_for_and_shown_until_it_ends(
     assert client.wait().error_code == 0
     spin_until(lambda: statuses.messages[-1].state == msg.TunerStatus.IDLE, "the end")
     assert statuses.messages[-1].message == ""
-    records = journal(tmp_path, "permit")[1:-1]
+    records = evaluated(tmp_path, "permit")
     assert [r["valid"] for r in records] == [True] * 3
     assert records[1]["attempts"] > 3
 

@@ -19,6 +19,7 @@ from tests.support.tuner import (
     GoalClient,
     Listener,
     Services,
+    evaluated,
     journal,
     toy_machine,
 )
@@ -224,7 +225,7 @@ def test_one_violating_shot_ends_the_evaluation_and_pauses_the_run(
             resumed_after = statuses.messages[-1].evaluations
             assert services.trigger("resume").success
     assert client.wait().error_code == 0
-    records = journal(tmp_path, "violating")[1:-1]
+    records = evaluated(tmp_path, "violating")
     violating = [r for r in records if r["error_code"] == RESULT.VIOLATION]
     assert [r["setpoint"]["x1"] > 0.5 for r in records] == [r in violating for r in records]
     assert len(violating) >= 2

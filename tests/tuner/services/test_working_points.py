@@ -15,6 +15,7 @@ from rclpy.node import Node
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import ApplySetpoint, GoToWorkingPoint, Tune
 from mobo_msgs_py.srv import ListWorkingPoints
+from mobo_tuner.machine.double import MachineDouble
 from mobo_tuner.ros.qos import LATCHED, STREAM
 from mobo_tuner.runs.history import History
 from tests.support.processes import NodeProcess
@@ -135,9 +136,11 @@ def test_the_front_is_listed_gone_to_and_held(
     best = min(told, key=lambda point: weighted(point, held))
     assert position(node, spin_until) == pytest.approx(values(best.setpoint), abs=1e-9)
     records = journal(tmp_path, told[0].run_id)
-    assert [r["type"] for r in records] == ["start", *["evaluation"] * 25, "end"]
+    kinds = [r["type"] for r in records]
+    assert kinds == ["start", *["evaluation"] * 20, "state", *["evaluation"] * 5, "end"]
     assert len(History.from_records(records).evaluations) == 25
-    assert len(journal(tmp_path, "front")) == 22
+    kinds = [r["type"] for r in journal(tmp_path, "front")]
+    assert kinds == ["start", "state", *["evaluation"] * 20, "end", *["move", "state"] * 3]
     # What was measured while holding is on the list, too.
     indices = {point.index for point in listed(services, False).measured.points}
     assert indices & {20, 21, 22, 23, 24}
@@ -152,7 +155,7 @@ def test_the_front_is_listed_gone_to_and_held(
     least = min(front.points, key=lambda point: values(point.objectives)["f2"])
     assert plain(mover.wait().point) == plain(least)
     assert position(node, spin_until) == pytest.approx(values(least.setpoint), abs=1e-9)
-    assert len(journal(tmp_path, "front")) == 22
+    assert [r["type"] for r in journal(tmp_path, "front")][-3:] == ["state", "move", "state"]
 
 
 def test_goals_that_cannot_be_served_and_a_cancel_on_the_way(
@@ -187,8 +190,11 @@ def test_goals_that_cannot_be_served_and_a_cancel_on_the_way(
     (tmp_path / "runs" / "linked").symlink_to(tmp_path / "elsewhere" / "linked")
     some = dict.fromkeys(values(point.objectives), 1.0)
     for goal, sentence in (
-        (Goal(choice=Goal.BY_INDEX, index=999), "index is 999; the front has "),
-        (Goal(choice=7), "choice is 7; BY_INDEX and BY_WEIGHTS are allowed"),
+        (
+            Goal(choice=Goal.BY_INDEX, index=999),
+            "index is 999, of an evaluation of run 'short'; 0 to",
+        ),
+        (Goal(choice=7), "choice is 7; BY_INDEX, BY_WEIGHTS and BEFORE_RUN are allowed"),
         (Goal(choice=Goal.BY_INDEX, index=point.index, radius=-1.0), "radius is -1"),
         (Goal(choice=Goal.BY_INDEX, index=point.index, radius=math.nan), "radius is nan"),
         (Goal(choice=Goal.BY_INDEX, hold_evaluations=10**9), "hold_evaluations is 1000000000"),
@@ -286,29 +292,35 @@ def test_bounds_fence_the_way_to_a_point_and_a_word_leads_across_them(
     tmp_path: Path,
 ) -> None:
     machine = toy_machine(node)
+    start = {"x1": 0.5, "x2": -0.5}
+    machine.position = dict(start)
     tuner = start_tuner("initial_evaluations:=20", "on_abort:=best")
     client.send(Tune.Goal(run_id="wide", evaluations=10))
     front = client.wait().pareto_front.points
+    check_other_places(mover, machine, start, {point.index for point in front})
     far = max(front, key=lambda point: values(point.setpoint)["x1"])
     where = values(far.setpoint)
     limit = where["x1"] - 0.001
     assert services.set(variables__x1__max=limit).successful
 
-    before = dict(machine.position)
+    before, kept = dict(machine.position), journal(tmp_path, "wide")
     for goal in (Goal(index=far.index), Goal(index=far.index, hold_evaluations=3, anyway=True)):
         mover.send(goal)
         result = mover.wait()
         assert result.error_code == CODES.INVALID_GOAL
         assert f"point {far.index} is out of bounds: set-point x1 is " in result.error_msg
         assert machine.position == before
-    assert [r["type"] for r in journal(tmp_path, "wide")][-1] == "end"
+    assert journal(tmp_path, "wide") == kept
 
     mover.send(Goal(index=far.index, anyway=True))
     assert mover.wait().error_code == CODES.NONE
     assert machine.position == where
-    kept = journal(tmp_path, "wide")[-1]
-    assert (kept["type"], kept["index"], kept["setpoint"]) == ("move", far.index, where)
-    assert f"the machine goes to point {far.index} across the bounds" in tuner.stderr
+    asked, ended = History.from_records(journal(tmp_path, "wide")).moves[-1]
+    assert (asked.evaluation, asked.setpoint, asked.by) == (far.index, where, "operator")
+    assert asked.anyway
+    assert ended is not None
+    assert (ended.readbacks, ended.error_msg) == (where, "")
+    assert "the machine is sent across the bounds, as operator has said" in tuner.stderr
 
     # The run with that record in its journal is read as before, and a new one stays inside.
     read = services.call(
@@ -322,6 +334,11 @@ def test_bounds_fence_the_way_to_a_point_and_a_word_leads_across_them(
         assert values(goal.setpoint)["x1"] <= limit
     assert len(machine.goals) == 2
 
+    # The state before a run that is read from its folder; the newer run began elsewhere.
+    mover.send(Goal(run_id="wide", choice=Goal.BEFORE_RUN))
+    assert mover.wait().run_id == "wide"
+    assert machine.position == start
+
     # A look at an earlier run does not change which run is meant without a name.
     services.call(
         ListWorkingPoints, "list_working_points", ListWorkingPoints.Request(run_id="wide"), 60.0
@@ -329,3 +346,22 @@ def test_bounds_fence_the_way_to_a_point_and_a_word_leads_across_them(
     [*_, point] = listed(services, False).measured.points
     mover.send(Goal(index=point.index))
     assert mover.wait().run_id == "narrow"
+
+
+def check_other_places(
+    mover: GoalClient, machine: MachineDouble, start: dict[str, float], front: set[int]
+) -> None:
+    """Go to an evaluation that is not on the front, and to where the machine was before the run."""
+    index = next(n for n in range(10) if n not in front)
+    there = values(machine.goals[index].setpoint)
+    mover.send(Goal(index=index, measure=True))
+    result = mover.wait()
+    assert (result.error_code, machine.position) == (CODES.NONE, there)
+    assert result.point.index == index
+    assert values(result.measured) == pytest.approx(values(result.point.objectives))
+    mover.send(Goal(index=index, hold_evaluations=3))
+    assert "only a point of the front can be held" in mover.wait().error_msg
+    mover.send(Goal(choice=Goal.BEFORE_RUN))
+    result = mover.wait()
+    assert (result.error_code, machine.position) == (CODES.NONE, start)
+    assert (values(result.point.setpoint), list(result.point.objectives)) == (start, [])

@@ -382,6 +382,7 @@ class TunerClient:
         index: int | None = None,
         *,
         weights: Mapping[str, float] | None = None,
+        before: bool = False,
         run_id: str = "",
         hold: int = 0,
         radius: float = 0.0,
@@ -389,25 +390,28 @@ class TunerClient:
         measure: bool = False,
         on_feedback: OnMovement | None = None,
     ) -> Arrival:
-        """Go to a point of a Pareto front, and wait until the machine has arrived.
+        """Go to a point of a run, and wait until the machine has arrived.
 
         Ctrl-C and an error in the callback stop the machine where it is.
 
         Args:
-            index: Index of the point's evaluation; None if weights are given.
-            weights: Weights of the objectives [1/unit]; the point with the least sum is chosen.
+            index: Index of an evaluation, on the front or not; None if one of the next two is given.
+            weights: Weights of the objectives [1/unit]; the point of the front with the least sum is chosen.
+            before: Whether to go where the machine was before the run.
             run_id: Id of the run; empty = the last run.
-            hold: Number of evaluations to spend on holding the point against drift.
+            hold: Number of evaluations to spend on holding a point of the front against drift.
             radius: Radius of that search as a fraction of each variable's range [1]; 0 = the default.
-            anyway: Whether the point may be outside the bounds of now.
+            anyway: Whether the point may be outside the bounds of now, or have violated a critical limit.
             measure: Whether to measure once there, to compare with what the point promises.
             on_feedback: Function that receives the progress.
 
         Raises:
             TunerError: If there is no such point, or the machine does not reach it.
         """
-        if (index is None) == (weights is None):
-            raise TunerError(ErrorCode.INVALID_VALUE, "give either the index of a point or weights")
+        if (index is not None) + (weights is not None) + before != 1:
+            raise TunerError(
+                ErrorCode.INVALID_VALUE, "give either the index of a point, or weights, or before"
+            )
         # The run is always named: the last run may change between two calls.
         goal = GoToWorkingPoint.Goal(
             run_id=run_id or self.working_points().measured.run_id,
@@ -416,7 +420,9 @@ class TunerClient:
             anyway=anyway,
             measure=measure,
         )
-        if weights is None:
+        if before:
+            goal.choice = GoToWorkingPoint.Goal.BEFORE_RUN
+        elif weights is None:
             goal.choice, goal.index = GoToWorkingPoint.Goal.BY_INDEX, count(index, "index")
         else:
             goal.choice = GoToWorkingPoint.Goal.BY_WEIGHTS
@@ -435,7 +441,7 @@ class TunerClient:
             raise error
         return Arrival(
             run_id=result.run_id,
-            point=point_of(result.point),
+            point=point_of(result.point, evaluated=not before),
             readbacks=values_of(result.readbacks),
             units=units_of((*result.readbacks, *result.measured, *result.point.objectives)),
             evaluations=result.evaluations,

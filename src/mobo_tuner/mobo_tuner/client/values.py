@@ -108,12 +108,12 @@ class Evaluation(EvaluationRecord):
 
 @dataclass(frozen=True)
 class Point:
-    """A point of a Pareto front, measured or predicted.
+    """A point of a run: of its Pareto front, measured or predicted, or another one.
 
     Attributes:
-        index: Index of its evaluation; None if it is predicted.
+        index: Index of its evaluation; None if it is predicted, or the state before the run.
         setpoint: Its set-point, by variable.
-        objectives: Its objectives, by name.
+        objectives: Its objectives, by name, as far as they are known.
         stddevs: Their standard deviations; NaN = unknown.
         predicted: Names of the objectives that were not measured there.
     """
@@ -194,7 +194,7 @@ class Arrival:
     """Result of a move to a working point.
 
     Attributes:
-        run_id: Id of the run whose front the point is on.
+        run_id: Id of the run of the point.
         point: Chosen point.
         readbacks: Readbacks of the variables.
         units: Units of variables and diagnostics.
@@ -276,10 +276,10 @@ def evaluation_of(message: msg.Evaluation) -> Evaluation:
     )
 
 
-def point_of(message: msg.ParetoPoint, *, predicted: bool = False) -> Point:
-    """Return a point of a front from its message."""
+def point_of(message: msg.ParetoPoint, *, evaluated: bool = True) -> Point:
+    """Return a point from its message; one that is not that of an evaluation has no index."""
     return Point(
-        index=None if predicted else message.index,
+        index=message.index if evaluated else None,
         setpoint=values_of(message.setpoint),
         objectives=values_of(message.objectives),
         stddevs={item.name: item.stddev for item in message.objectives},
@@ -292,7 +292,7 @@ def front_of(message: msg.ParetoFront, *, predicted: bool = False) -> Front:
     setpoint = message.points[0].setpoint if message.points else ()
     return Front(
         run_id=message.run_id,
-        points=tuple(point_of(point, predicted=predicted) for point in message.points),
+        points=tuple(point_of(point, evaluated=not predicted) for point in message.points),
         hypervolume=message.hypervolume,
         hypervolume_measured=message.hypervolume_measured,
         reference_point=values_of(message.reference_point),

@@ -150,7 +150,7 @@ def points(client: TunerClient, options: argparse.Namespace) -> str:
 
 
 def go(client: TunerClient, options: argparse.Namespace) -> str:
-    """Go to a point of a Pareto front; Ctrl-C stops the machine where it is."""
+    """Go to a point of a run; Ctrl-C stops the machine where it is."""
 
     def show(movement: Movement) -> None:
         held = f", {movement.evaluations} evaluations" if movement.evaluations else ""
@@ -159,6 +159,7 @@ def go(client: TunerClient, options: argparse.Namespace) -> str:
     arrival = client.go(
         options.index,
         weights=dict(options.weights) if options.weights else None,
+        before=options.before,
         run_id=options.run,
         hold=options.hold,
         radius=options.radius,
@@ -171,7 +172,9 @@ def go(client: TunerClient, options: argparse.Namespace) -> str:
         for name, value in arrival.readbacks.items()
     )
     held = f", held with {arrival.evaluations} evaluations" if options.hold else ""
-    text = f"at point {arrival.point.index} of run {arrival.run_id}{held}: {where}"
+    index = arrival.point.index
+    place = "the state before" if index is None else f"point {index} of"
+    text = f"at {place} run {arrival.run_id}{held}: {where}"
     return text if options.no_measurement else f"{text}\n{_comparison(arrival)}"
 
 
@@ -244,7 +247,16 @@ def make_parser() -> argparse.ArgumentParser:
         "--predict", action="store_true", help="also list the front that the models predict"
     )
     parsers["go"].add_argument(
-        "index", nargs="?", type=_count, metavar="INDEX", help="index of the point's evaluation"
+        "index",
+        nargs="?",
+        type=_count,
+        metavar="INDEX",
+        help="index of an evaluation, on the front or not",
+    )
+    parsers["go"].add_argument(
+        "--before",
+        action="store_true",
+        help="instead of an index: go where the machine was before the run",
     )
     parsers["go"].add_argument(
         "--weights",
@@ -275,7 +287,8 @@ def make_parser() -> argparse.ArgumentParser:
     parsers["go"].add_argument(
         "--anyway",
         action="store_true",
-        help="go there even if the point is outside the bounds as they are now",
+        help="go there even if the point is outside the bounds as they are now, or violated a critical "
+        "limit",
     )
     return parser
 
@@ -308,11 +321,12 @@ def _comparison(arrival: Arrival) -> str:
     if not arrival.measured:
         return "nothing could be measured there: see the log of the tuner"
     rows = [["", "promised", "measured now", "difference"]]
-    for name, promised in arrival.point.objectives.items():
+    promises = arrival.point.objectives or dict.fromkeys(arrival.measured, math.nan)
+    for name, promised in promises.items():
         measured = arrival.measured.get(name, math.nan)
         label = f"{name} {arrival.units.get(name, '')}".strip()
         numbers = (promised, measured, measured - promised)
-        rows.append([label, *(f"{number:.4g}" for number in numbers)])
+        rows.append([label, *(f"{n:.4g}" if math.isfinite(n) else "-" for n in numbers)])
     return _aligned(rows)
 
 

@@ -163,7 +163,7 @@ RUN_RECORDS = Topic(
     msg.RunRecords,
     LATCHED,
     "tuner",
-    "Set-up of the run and its changes; a bag needs them for `rebuild`.",
+    "Set-up of the run, its changes and its moves; a bag needs them for `rebuild`.",
 )
 EVALUATION = Topic(
     "evaluation", msg.Evaluation, KEPT, "tuner", "Exactly one message per evaluation."

@@ -1,6 +1,7 @@
 """The evaluations of a run as a table: ``python -m mobo_tuner.runs.export RUN_FOLDER [--format csv|parquet]``.
 
-One row per evaluation, columns by name. A readback is `NAME.readback`, a standard deviation
+One row per evaluation, columns by name; moves that are not part of an evaluation are in a second table, `moves`,
+if there were any. A readback is `NAME.readback`, a standard deviation
 `NAME.stddev`; names of the problem have no dot. The units are in the CSV's first line, a comment, and in
 the metadata of a Parquet file, whole and column by column.
 """
@@ -72,11 +73,40 @@ def columns_of(run: RecordedRun) -> tuple[dict[str, Column], dict[str, str]]:
     return columns, units
 
 
-def as_csv(run: RecordedRun) -> bytes:
-    """Return a run as CSV; its first line is a comment that holds run and units as JSON."""
-    columns, units = columns_of(run)
+def moves_of(run: RecordedRun) -> tuple[dict[str, Column], dict[str, str]]:
+    """Return the columns of the table of moves: what was asked, by whom, and where it ended."""
+    moves, problem = run.history.moves, run.problem
+    asked, ended = [move.asked for move in moves], [move.ended for move in moves]
+    columns: dict[str, Column] = {
+        "stamp": [a.stamp for a in asked],
+        "evaluations": [a.index for a in asked],
+        "purpose": [a.purpose for a in asked],
+        "by": [a.by for a in asked],
+        "evaluation": [math.nan if a.evaluation is None else float(a.evaluation) for a in asked],
+        "anyway": [a.anyway for a in asked],
+        "ended": [math.nan if e is None else e.stamp for e in ended],
+        "error_msg": ["its end is unknown" if e is None else e.error_msg for e in ended],
+    }
+    names = problem.variable_names
+    columns |= {name: [a.setpoint.get(name, math.nan) for a in asked] for name in names}
+    columns |= {
+        f"{name}.readback": [
+            math.nan if e is None else e.readbacks.get(name, math.nan) for e in ended
+        ]
+        for name in names
+    }
+    units = {
+        name: problem.units[name.removesuffix(".readback")]
+        for name in columns
+        if problem.units.get(name.removesuffix(".readback"))
+    }
+    return columns, {"stamp": "s", "ended": "s", **units}
+
+
+def as_csv(run_id: str, columns: Mapping[str, Column], units: Mapping[str, str]) -> bytes:
+    """Return a table as CSV; its first line is a comment that holds run and units as JSON."""
     text = io.StringIO()
-    facts = json.dumps({"run_id": run.run_id, "units": units}, ensure_ascii=False)
+    facts = json.dumps({"run_id": run_id, "units": units}, ensure_ascii=False)
     text.write(f"# {facts}\n")
     # Every text is quoted, so that a reader takes no part of it for a comment.
     table = csv.writer(text, quoting=csv.QUOTE_NONNUMERIC, lineterminator="\n")
@@ -85,8 +115,8 @@ def as_csv(run: RecordedRun) -> bytes:
     return text.getvalue().encode()
 
 
-def as_parquet(run: RecordedRun) -> bytes:
-    """Return a run as Parquet; NaN stands for what is not known.
+def as_parquet(run_id: str, columns: Mapping[str, Column], units: Mapping[str, str]) -> bytes:
+    """Return a table as Parquet; NaN stands for what is not known.
 
     Raises:
         UserError: If pyarrow is not installed.
@@ -98,7 +128,6 @@ def as_parquet(run: RecordedRun) -> bytes:
         raise UserError(
             "the format is parquet, which needs pyarrow: pip install 'mobo_tuner[export]', or choose csv"
         ) from None
-    columns, units = columns_of(run)
     arrays = {
         name: pyarrow.array(column, _type_of(column, pyarrow)) for name, column in columns.items()
     }
@@ -109,7 +138,7 @@ def as_parquet(run: RecordedRun) -> bytes:
             )
             for name, array in arrays.items()
         ],
-        metadata={"run_id": run.run_id, "units": json.dumps(units, ensure_ascii=False)},
+        metadata={"run_id": run_id, "units": json.dumps(units, ensure_ascii=False)},
     )
     buffer = io.BytesIO()
     pyarrow.parquet.write_table(pyarrow.table(arrays, schema=schema), buffer)
@@ -138,7 +167,10 @@ def _type_of(column: Column, pyarrow: Any) -> Any:
 
 
 def write_export(run_dir: Path, chosen: str) -> Path:
-    """Write `evaluations.csv` or `evaluations.parquet` into a run's folder; return its path.
+    """Write `evaluations.csv` or `evaluations.parquet` into a run's folder, and `moves` beside it if there were any.
+
+    Returns:
+        The path of the evaluations.
 
     Raises:
         JournalError: If the journal cannot be read.
@@ -146,8 +178,11 @@ def write_export(run_dir: Path, chosen: str) -> Path:
         OSError: If the file cannot be written.
     """
     run = RecordedRun.load(run_dir)
+    write = as_csv if chosen == "csv" else as_parquet
     path = run_dir / f"evaluations.{chosen}"
-    replace_file(path, as_csv(run) if chosen == "csv" else as_parquet(run))
+    replace_file(path, write(run.run_id, *columns_of(run)))
+    if run.history.moves:
+        replace_file(run_dir / f"moves.{chosen}", write(run.run_id, *moves_of(run)))
     return path
 
 

@@ -23,6 +23,7 @@ from mobo_tuner.runs.records import (
     QueuedRecord,
     Record,
     StartRecord,
+    StateRecord,
     Values,
     from_json,
 )
@@ -36,6 +37,13 @@ INVALID_MEASUREMENT = 5
 Step = EvaluationRecord | ChangeRecord | ForgetRecord
 
 
+class Move(NamedTuple):
+    """A move that is not part of an evaluation, and where it ended; None if that is not known."""
+
+    asked: MoveRecord
+    ended: StateRecord | None
+
+
 @dataclass(frozen=True)
 class History:
     """A run from its start.
@@ -45,12 +53,16 @@ class History:
         records: All others but the end, in their order: steps and queued set-points.
         waiting: Set-points of operators that were not evaluated yet, in their order.
         end: Its last record; None if the run has not ended or was killed.
+        before: Readbacks of the machine when the run began; None if unknown.
+        moves: Moves that are not part of an evaluation, also those after the end, in their order.
     """
 
     start: StartRecord
     records: tuple[Step | QueuedRecord, ...]
     waiting: tuple[Values, ...]
     end: EndRecord | None
+    before: Values | None = None
+    moves: tuple[Move, ...] = ()
 
     @classmethod
     def from_records(cls, records: Sequence[JsonRecord]) -> History:
@@ -204,13 +216,22 @@ class _Builder:
         self._records: list[Step | QueuedRecord] = []
         self._waiting: list[Values] = []
         self._end: EndRecord | None = None
+        self._before: Values | None = None
+        self._moves: list[Move] = []
         self._count = 0
 
     def history(self) -> History:
         """Return the history of what was added."""
         if self._start is None:
             raise JournalError("the journal has no start record")
-        return History(self._start, tuple(self._records), tuple(self._waiting), self._end)
+        return History(
+            self._start,
+            tuple(self._records),
+            tuple(self._waiting),
+            self._end,
+            self._before,
+            tuple(self._moves),
+        )
 
     def add(self, record: Record) -> None:
         """Add one record.
@@ -231,7 +252,10 @@ class _Builder:
             self._end = record
             return
         if isinstance(record, MoveRecord):  # nothing was measured
-            self._problem.normalize(record.setpoint)
+            self._moves.append(Move(record, None))
+            return
+        if isinstance(record, StateRecord):
+            self._add_state(record)
             return
         if isinstance(record, EvaluationRecord):
             self._check_index(record.index)
@@ -251,6 +275,13 @@ class _Builder:
             self._problem.normalize(record.setpoint)
             self._waiting.append(record.setpoint)
         self._records.append(record)
+
+    def _add_state(self, record: StateRecord) -> None:
+        """Take note of where the machine was: at the end of the last move, or when the run began."""
+        if self._moves and self._moves[-1].ended is None:
+            self._moves[-1] = self._moves[-1]._replace(ended=record)
+        elif not self._moves and self._before is None and record.readbacks:
+            self._before = record.readbacks
 
     def _check_index(self, index: int) -> None:
         if index != self._count:

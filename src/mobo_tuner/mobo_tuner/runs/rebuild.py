@@ -28,6 +28,8 @@ from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import Journal, JournalError, JsonRecord, journal_line, parse_journal
 from mobo_tuner.runs.mcap_records import Message, Schema
 from mobo_tuner.runs.records import (
+    MOVE,
+    STATE,
     ChangeRecord,
     EndRecord,
     StartRecord,
@@ -50,7 +52,7 @@ class BaggedRun:
     """Everything that a bag holds of one run.
 
     Attributes:
-        outline: Its start record and its changes; empty if the bag lacks them.
+        outline: Its start record, its changes and its moves; empty if the bag lacks them.
         problems: The same, made of its `Problem` messages, with unknown settings and budgets.
         evaluations: Its evaluations by index.
         end: Its end record; None if the run did not end.
@@ -72,14 +74,26 @@ class BaggedRun:
         records = [start]
         count = 0
         while True:
-            records += [change for change in changes if change.get("index") == count]
+            records += [
+                change
+                for change in changes
+                if change.get("index") == count and not self._is_late(change)
+            ]
             if count not in self.evaluations:
                 break
             records.append(self.evaluations[count])
             count += 1
         if self.end is not None and count == len(self.evaluations):
             records.append(self.end)
+            records += [change for change in changes if self._is_late(change)]
         return records
+
+    def _is_late(self, change: JsonRecord) -> bool:
+        """Return whether a record of the outline came after the end of the run."""
+        if self.end is None or change["type"] not in (MOVE, STATE):
+            return False
+        stamp = change.get("stamp")
+        return isinstance(stamp, int | float) and stamp > self.end["stamp"]
 
     def add_problem(self, problem: Problem, run_id: str, stamp: float) -> None:
         """Add a problem that was published; one that only tells its references replaces the last one."""

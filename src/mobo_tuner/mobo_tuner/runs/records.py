@@ -1,4 +1,4 @@
-"""The records of a run: start, evaluations, changes, queued set-points and end.
+"""The records of a run: start, evaluations, changes, queued set-points, moves and end.
 
 A journal holds them as JSON objects, a bag holds the evaluations as messages; all conversions, in both
 directions, are in this module. A new field of an evaluation is a field of `EvaluationRecord` with one of
@@ -144,11 +144,42 @@ class QueuedRecord:
 
 @dataclass(frozen=True)
 class MoveRecord:
-    """A move across the bounds to the point of the evaluation `index`, on an operator's word."""
+    """A move that is not part of an evaluation; written before the machine moves.
+
+    Attributes:
+        stamp: When it was asked for [s].
+        index: Number of finished evaluations.
+        setpoint: Where the machine is sent.
+        purpose: "go" or "hold" for a working point, "restore" for the state before the run, "best" for the best point.
+        by: "operator", or the policy that asks for it, "on_end" or "on_abort".
+        evaluation: Index of the evaluation whose set-point it is; None if it is that of none.
+        anyway: Whether it leads across the bounds, on an operator's word.
+    """
 
     stamp: Stamp
     index: int
     setpoint: Values
+    purpose: str = "go"
+    by: str = "operator"
+    evaluation: int | None = None
+    anyway: bool = False
+
+
+@dataclass(frozen=True)
+class StateRecord:
+    """Where the machine was when the run began, or at the end of the move before this record.
+
+    Attributes:
+        stamp: When it was there [s].
+        index: Number of finished evaluations.
+        readbacks: Readbacks of the variables; empty if unknown.
+        error_msg: Why the move ended before its goal; empty if it did not.
+    """
+
+    stamp: Stamp
+    index: int
+    readbacks: Values
+    error_msg: str = ""
 
 
 class StopReason(StrEnum):
@@ -185,8 +216,12 @@ Record = (
     | ForgetRecord
     | QueuedRecord
     | MoveRecord
+    | StateRecord
     | EndRecord
 )
+
+MOVE, STATE = "move", "state"
+"""Types of the records that may come after the end."""
 
 _TYPES: dict[str, type[Record]] = {
     "start": StartRecord,
@@ -194,7 +229,8 @@ _TYPES: dict[str, type[Record]] = {
     "change": ChangeRecord,
     "forget": ForgetRecord,
     "queued": QueuedRecord,
-    "move": MoveRecord,
+    MOVE: MoveRecord,
+    STATE: StateRecord,
     "end": EndRecord,
 }
 _TYPE_NAMES = {kind: name for name, kind in _TYPES.items()}
@@ -429,6 +465,7 @@ def _measurements_of(named: Iterable[Any]) -> dict[str, tuple[float, float]]:
 
 _KINDS = {
     "int": _Kind(_integer, take=int),
+    "int | None": _Kind(_integer),
     "Short": _Kind(_integer, lambda value: min(value, _MAX_UINT16), int),
     "Stamp": _Kind(_number, _stamp),
     "bool": _Kind(_boolean, take=bool),

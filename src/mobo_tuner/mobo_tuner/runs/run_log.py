@@ -9,8 +9,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mobo_tuner.core import Optimizer
-from mobo_tuner.runs.journal import Journal, JournalWriteError, journal_line
-from mobo_tuner.runs.records import ChangeRecord, ForgetRecord, Record, StartRecord, to_json
+from mobo_tuner.runs.journal import Journal, JournalWriteError, append_record, journal_line
+from mobo_tuner.runs.records import (
+    ChangeRecord,
+    ForgetRecord,
+    MoveRecord,
+    Record,
+    StartRecord,
+    StateRecord,
+    to_json,
+)
 from mobo_tuner.runs.saved_state import SavedState
 
 
@@ -21,6 +29,7 @@ class RunLog:
         run_dir: Folder of the run; if None, only the outline is kept.
         start: First record.
         earlier: Records taken over from the run that this one resumes.
+        ended: Whether the run has ended and its journal exists, to which only moves are added.
 
     Attributes:
         trouble: Reason why records are not in the journal yet, in one sentence; empty if all are.
@@ -31,7 +40,12 @@ class RunLog:
     """
 
     def __init__(
-        self, run_dir: Path | None, start: StartRecord, earlier: Sequence[Record] = ()
+        self,
+        run_dir: Path | None,
+        start: StartRecord,
+        earlier: Sequence[Record] = (),
+        *,
+        ended: bool = False,
     ) -> None:
         self._run_dir = run_dir
         self._run_id = start.run_id
@@ -42,14 +56,15 @@ class RunLog:
         self.trouble = ""
         records = [start, *earlier]
         self._journal = None
-        if run_dir is not None:
+        self._ended = ended
+        if run_dir is not None and not ended:
             self._journal = Journal.create(run_dir, [to_json(record) for record in records])
         for record in records:
             self._outline(record)
 
     @property
     def outline(self) -> str:
-        """Start record and changes so far, one line of JSON each.
+        """Start record, changes and moves so far, one line of JSON each.
 
         The run can be rebuilt from it and the evaluations.
         """
@@ -62,9 +77,12 @@ class RunLog:
             JournalWriteError: If it, or what waits, cannot be written; it is not kept then.
         """
         with self._lock:
-            self._write_waiting()
-            if self._journal is not None:
-                self._journal.append(to_json(record))
+            if self._ended and self._run_dir is not None:
+                append_record(self._run_dir, to_json(record))
+            elif not self._ended:
+                self._write_waiting()
+                if self._journal is not None:
+                    self._journal.append(to_json(record))
             self._outline(record)
 
     def keep(self, record: Record) -> None:
@@ -113,11 +131,12 @@ class RunLog:
         return tuple(self._waiting)
 
     def close(self) -> None:
-        """Close the journal; repeated calls have no effect."""
+        """Close the journal, to which only moves are added from now on; repeated calls have no effect."""
+        self._ended = True
         if self._journal is not None:
             self._journal.close()
 
     def _outline(self, record: Record) -> None:
-        if isinstance(record, StartRecord | ChangeRecord | ForgetRecord):
-            self._changes += not isinstance(record, StartRecord)
+        if isinstance(record, StartRecord | ChangeRecord | ForgetRecord | MoveRecord | StateRecord):
+            self._changes += isinstance(record, ChangeRecord | ForgetRecord)
             self._lines.append(journal_line(to_json(record)).decode())

@@ -151,6 +151,14 @@ class Gate:
         for limit in self._limits:
             _check_range(limit.name, target.setpoint, limit.min, limit.max, limit.unit)
 
+    def settled(self, readbacks: Mapping[str, float]) -> dict[str, float]:
+        """Return readbacks as a set-point: those a hair outside a bound or a limit are taken for it."""
+        setpoint = settle_on_bounds(self.bounds, readbacks)
+        for limit in self._limits:
+            if limit.name in setpoint:
+                setpoint[limit.name] = _settled(setpoint[limit.name], limit.min, limit.max)
+        return setpoint
+
     def allows(self, target: Target) -> bool:
         """Return whether the machine may go to a target."""
         try:
@@ -304,10 +312,15 @@ def settle_on_bounds(problem: Problem, readbacks: Mapping[str, float]) -> dict[s
     """Return readbacks as a set-point: those a hair outside a bound are taken for the bound."""
     setpoint = dict(readbacks)
     for v in problem.variables:
-        margin = READBACK_MARGIN * (v.maximum - v.minimum)
-        if v.name in setpoint and v.minimum - margin <= setpoint[v.name] <= v.maximum + margin:
-            setpoint[v.name] = min(max(setpoint[v.name], v.minimum), v.maximum)
+        if v.name in setpoint:
+            setpoint[v.name] = _settled(setpoint[v.name], v.minimum, v.maximum)
     return setpoint
+
+
+def _settled(value: float, minimum: float, maximum: float) -> float:
+    margin = READBACK_MARGIN * (maximum - minimum)
+    near = minimum - margin <= value <= maximum + margin
+    return min(max(value, minimum), maximum) if near else value
 
 
 def _check_range(

@@ -82,6 +82,24 @@ def run_records_message(records: str, run_id: str, stamp: Time) -> msg.RunRecord
     return msg.RunRecords(header=Header(stamp=stamp), run_id=run_id, records=records)
 
 
+def evaluated_point(problem: Problem, record: EvaluationRecord) -> msg.ParetoPoint:
+    """Return an evaluation as a point, with the objectives that were measured."""
+    measured = {
+        name: record.diagnostics[name]
+        for name in problem.objective_names
+        if math.isfinite(record.diagnostics.get(name, (math.nan, math.nan))[0])
+    }
+    return msg.ParetoPoint(
+        index=record.index,
+        setpoint=named_values(record.setpoint, problem.units),
+        objectives=named_values(
+            {name: mean for name, (mean, _) in measured.items()},
+            problem.units,
+            {name: stddev for name, (_, stddev) in measured.items()},
+        ),
+    )
+
+
 def front_message(
     problem: Problem,
     front: Iterable[Mapping],

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 from rclpy.task import Future
 
@@ -14,6 +14,7 @@ from mobo_tuner.tuner.context import TunerContext
 from mobo_tuner.tuner.gate import BoundsError, Gate, Target, settle_on_bounds
 from mobo_tuner.tuner.machine_client import MachineLostError, clip_to_limits
 from mobo_tuner.tuner.parameters import TunerParameters
+from mobo_tuner.tuner.run.moves import keep_move, keep_state
 from mobo_tuner.tuner.run.run import Run, RunError
 
 RESTORE, RESTORE_ANYWAY, BEST = "restore", "restore_anyway", "best"
@@ -34,34 +35,38 @@ class Fallbacks:
         self._context = context
 
     async def prepare(self, run: Run) -> None:
-        """Learn where the machine is before anything moves, if a policy may send it back there.
+        """Learn where the machine is before anything moves.
+
+        It is kept, so that an operator can go back there after the run. The run cannot begin without it only
+        if a policy may send the machine back there.
 
         Raises:
-            RunError: If the machine cannot tell, or may not be sent back there.
+            RunError: If such a policy is given, and the machine cannot tell, or may not be sent back there.
         """
         policies = {event: self._policy(event) for event in EVENTS}
         wanting = [event for event in EVENTS if policies[event] in (RESTORE, RESTORE_ANYWAY)]
-        if not wanting:
-            return
         assert run.machine is not None
-        what = f"{wanting[0]} is '{policies[wanting[0]]}'"
+        where: Mapping[str, float] | None = {}
+        unknown = ""
         try:
             where = await self._context.gate.where(run.interrupt)
         except MachineLostError as error:
-            raise RunError(
-                Tune.Result.MACHINE_UNAVAILABLE,
-                f"{what}, but the state before the run is unknown: {error}",
-            ) from None
+            unknown = f"the state before the run is unknown: {error}"
         if where is None:
             return
         missing = [v.name for v in run.machine.variables if v.name not in where]
         if missing:
-            raise RunError(
-                Tune.Result.MACHINE_UNAVAILABLE,
-                f"{what}, but the machine has no readback of {missing[0]}",
-            )
+            unknown = unknown or f"the machine has no readback of {missing[0]}"
+            if wanting:
+                raise RunError(
+                    Tune.Result.MACHINE_UNAVAILABLE,
+                    f"{wanting[0]} is '{policies[wanting[0]]}', but {unknown}",
+                )
+            self._context.log.info(f"run '{run.run_id}': {unknown}")
+            return
         within = clip_to_limits(where, run.machine.variables)
         run.state_before = settle_on_bounds(self._context.gate.bounds, within)
+        keep_state(self._context, run, run.state_before)
         for event in wanting:
             trouble = blocked_restore(policies[event], run, self._context.gate)
             if trouble:
@@ -98,12 +103,17 @@ class Fallbacks:
             return f"the machine holds: {trouble}" if trouble else ""
         what = "the best point" if policy == BEST else "the state before the run"
         try:
-            return await self._go(target, run, what, interrupts)
+            keep_move(self._context, run, target, "best" if policy == BEST else "restore", event)
+            went = await self._go(target, run, what, interrupts)
         except BoundsError as error:
-            return f"the machine holds: {what} is out of bounds: {error}"
+            went = _Went(f"the machine holds: {what} is out of bounds: {error}")
+        except OSError as error:
+            return f"the machine holds: {what} is out of bounds, and {error}"
+        keep_state(self._context, run, went.readbacks, "" if went.arrived else went.text)
+        return went.text
 
-    async def _go(self, target: Target, run: Run, what: str, interrupts: Sequence[Future]) -> str:
-        """Go to a target and return what came of it, in a few words.
+    async def _go(self, target: Target, run: Run, what: str, interrupts: Sequence[Future]) -> _Went:
+        """Go to a target and return what came of it.
 
         Raises:
             BoundsError: If the machine may not go there.
@@ -115,7 +125,7 @@ class Fallbacks:
         by_itself = f"the machine is going to {what} by itself"
         if context.stopping.done():
             accepted = await context.gate.send_off(target, units, SEND_OFF_TIMEOUT)
-            return by_itself if accepted else f"the machine did not accept to go to {what}"
+            return _Went(by_itself if accepted else f"the machine did not accept to go to {what}")
 
         def on_feedback(feedback: Any) -> None:
             context.status.progress(feedback.phase, feedback.fraction)
@@ -130,18 +140,27 @@ class Fallbacks:
                 leave=context.stopping,
             )
         except MachineLostError as error:
-            return f"the machine did not go to {what}: {error}"
+            return _Went(f"the machine did not go to {what}: {error}")
+        where = answer.readbacks
         if answer.error_code == EvaluateSetpoint.Result.CANCELED:
             if run.steering.skip.done() or any(interrupt.done() for interrupt in interrupts):
-                return f"the machine was stopped on its way to {what}"
+                return _Went(f"the machine was stopped on its way to {what}", where)
             if context.stopping.done():
-                return by_itself
+                return _Went(by_itself, where)
         if answer.error_code != EvaluateSetpoint.Result.NONE:
-            return f"the machine did not go to {what}: {answer.error_msg}"
-        return f"the machine went to {what}"
+            return _Went(f"the machine did not go to {what}: {answer.error_msg}", where)
+        return _Went(f"the machine went to {what}", where, arrived=True)
 
     def _policy(self, event: str) -> str:
         return fallback_policy(self._context.parameters, event)
+
+
+class _Went(NamedTuple):
+    """What came of a move, in a few words, the readbacks at its end, and whether it arrived."""
+
+    text: str
+    readbacks: Mapping[str, float] = {}
+    arrived: bool = False
 
 
 def fallback_policy(parameters: TunerParameters, event: str) -> str:

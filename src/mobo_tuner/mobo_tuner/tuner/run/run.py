@@ -118,7 +118,7 @@ class Run:
         records: Evaluations so far, those of a resumed run included, each with the problem at that time.
         steering: Pending requests of operators.
         machine: Description of the machine; None before the first contact.
-        state_before: Readbacks before the run; None if no fallback needs them.
+        state_before: Where the machine was before the run; None if it is unknown.
         by_client: Whether a client asks and tells by itself.
         changeable: Whether its problem and budget may be changed.
         present: Where the machine was at the start, if the first evaluation must be there.

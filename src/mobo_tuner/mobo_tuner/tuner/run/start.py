@@ -183,16 +183,18 @@ def _with_problems(history: History) -> list[tuple[Problem, EvaluationRecord]]:
     return found
 
 
-def reopen_run(earlier: Earlier, interrupt: Future) -> Run:
-    """Return an earlier run as it was at its end; it is not active, and nothing more is kept of it."""
+def reopen_run(earlier: Earlier, interrupt: Future, run_dir: Path | None) -> Run:
+    """Return an earlier run as it was at its end; it is not active, and only moves are added to its journal."""
     history, optimizer = earlier
+    moves = [record for move in history.moves for record in move if record is not None]
     return Run(
         run_id=history.run_id,
         budget=len(history.evaluations),
         optimizer=optimizer,
         interrupt=interrupt,
         changeable=False,
-        log=RunLog(None, history.start),
+        log=RunLog(run_dir, history.start, [*history.records, *moves], ended=True),
+        state_before=None if history.before is None else dict(history.before),
         model_input=history.model_input,
         records=_with_problems(history),
     )

@@ -1,8 +1,9 @@
-"""Working points: the front as a list to choose from, and the way to a chosen point."""
+"""Working points: the front as a list to choose from, and the way to a point of a run."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,14 +17,13 @@ from mobo_tuner.core.focus import choose_on_front
 from mobo_tuner.core.hypervolume import hypervolume
 from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.action_server import Goal
-from mobo_tuner.ros.conversions import named_values, unique_values
-from mobo_tuner.runs.journal import append_record
-from mobo_tuner.runs.records import MoveRecord, to_json
+from mobo_tuner.ros.conversions import named_values, unique_values, values_of
 from mobo_tuner.tuner.context import TunerContext, describe
 from mobo_tuner.tuner.gate import BoundsError, EvaluationRequest, Target, check_bounds
 from mobo_tuner.tuner.machine_client import MachineLostError
-from mobo_tuner.tuner.messages import constraint_messages, front_message
+from mobo_tuner.tuner.messages import constraint_messages, evaluated_point, front_message
 from mobo_tuner.tuner.run.loop import RunLoop
+from mobo_tuner.tuner.run.moves import keep_move, keep_state
 from mobo_tuner.tuner.run.run import Run, RunError
 from mobo_tuner.tuner.run.start import read_earlier, reopen_run
 from mobo_tuner.tuner.services.holding import Holding
@@ -88,11 +88,10 @@ class WorkingPoints:
         result = GoToWorkingPoint.Result()
         try:
             choice = await self._choose(goal.request)
-            self._record_crossing(choice)
         except (ValueError, OSError) as error:
             result.error_code, result.error_msg = _CODES.INVALID_GOAL, str(error)
             return result
-        result.run_id, result.point = choice.run.run_id, choice.point
+        result.run_id, result.point = choice.run.run_id, choice.place.point
         self._interrupt = self._context.future()
         goal.on_cancel(lambda: self.stop("a client canceled it"))
         with self._session.moving():
@@ -124,7 +123,8 @@ class WorkingPoints:
             return self._session.latest
         self._session.check_free()
         earlier = await read_earlier(self._context, self._session, run_id)
-        self._reopened = reopen_run(earlier, self._context.future())
+        folder = self._context.parameters.run_dir(run_id)
+        self._reopened = reopen_run(earlier, self._context.future(), folder)
         return self._reopened
 
     async def _choose(self, request: GoToWorkingPoint.Goal) -> Choice:
@@ -142,28 +142,58 @@ class WorkingPoints:
         if not 0.0 < radius <= 1.0:
             raise ValueError(f"radius is {radius:g}; 0 to 1 is allowed")
         run = await self._find(request.run_id)
-        index, weights = None, None
-        if request.choice == GoToWorkingPoint.Goal.BY_INDEX:
-            index = request.index
-        elif request.choice == GoToWorkingPoint.Goal.BY_WEIGHTS:
+        place = self._place(run, request)
+        if request.hold_evaluations and place.index not in _on_front(run):
+            raise ValueError(
+                f"hold_evaluations is {request.hold_evaluations}; only a point of the front can be held, "
+                f"and {place.name} is not one"
+            )
+        target = Target(place.setpoint, anyway=request.anyway)
+        self._check(run, target, place, request.hold_evaluations)
+        return Choice(run, place, target, request.hold_evaluations, radius, request.measure)
+
+    def _place(self, run: Run, request: GoToWorkingPoint.Goal) -> Place:
+        """Return the place that a goal means.
+
+        Raises:
+            ValueError: If there is none.
+        """
+        units = run.problem.units
+        if request.choice == GoToWorkingPoint.Goal.BY_WEIGHTS:
             weights = dict.fromkeys(run.problem.objective_names, 0.0)
             weights |= unique_values("the list of weights", request.weights)
-        else:
-            raise ValueError(f"choice is {request.choice}; BY_INDEX and BY_WEIGHTS are allowed")
-        front = list(run.found.front)
-        setpoint, sums = choose_on_front(run.problem, front, index, weights)
-        points = run.front_message(self._context.now()).points
-        chosen = next(
-            point
-            for point, known in zip(points, front, strict=True)
-            if known["setpoint"] == setpoint
-        )
-        target = Target(setpoint, anyway=request.anyway)
-        self._check(target, chosen.index, request.hold_evaluations)
-        return Choice(run, chosen, target, sums, request.hold_evaluations, radius, request.measure)
+            setpoint, sums = choose_on_front(run.problem, list(run.found.front), None, weights)
+            index = next(p["index"] for p in run.found.front if p["setpoint"] == setpoint)
+            return replace(self._evaluated(run, index), weights=sums)
+        if request.choice == GoToWorkingPoint.Goal.BY_INDEX:
+            if request.index >= run.index:
+                known = f"0 to {run.index - 1} are allowed" if run.index else "there are none yet"
+                raise ValueError(
+                    f"index is {request.index}, of an evaluation of run '{run.run_id}'; {known}"
+                )
+            return self._evaluated(run, request.index)
+        if request.choice != GoToWorkingPoint.Goal.BEFORE_RUN:
+            allowed = "BY_INDEX, BY_WEIGHTS and BEFORE_RUN are allowed"
+            raise ValueError(f"choice is {request.choice}; {allowed}")
+        if run.state_before is None:
+            raise ValueError(f"the state before run '{run.run_id}' is unknown")
+        setpoint = self._context.gate.settled(run.state_before)
+        point = msg.ParetoPoint(setpoint=named_values(setpoint, units))
+        return Place("the state before the run", setpoint, point)
 
-    def _check(self, target: Target, index: int, hold_evaluations: int) -> None:
-        """Check that the machine may go to a point, and search around it if it is to be held there.
+    def _evaluated(self, run: Run, index: int) -> Place:
+        """Return the place of an evaluation, on the front or not."""
+        record = run.records[index][1]
+        if index in _on_front(run):
+            points = run.front_message(self._context.now()).points
+            point = next(point for point in points if point.index == index)
+            _, sums = choose_on_front(run.problem, list(run.found.front), index, None)
+        else:
+            point, sums = evaluated_point(run.problem, record), ()
+        return Place(f"point {index}", dict(record.setpoint), point, index, sums)
+
+    def _check(self, run: Run, target: Target, place: Place, hold_evaluations: int) -> None:
+        """Check that the machine may go to a place, and search around it if it is to be held there.
 
         Raises:
             BoundsError: If not.
@@ -174,36 +204,24 @@ class WorkingPoints:
                 check_bounds(self._context.gate.bounds, target.setpoint)
         except BoundsError as error:
             advice = "widen the bounds to hold it" if target.anyway else "'anyway' goes there"
-            raise BoundsError(f"point {index} is out of bounds: {error}; {advice}") from None
-
-    def _record_crossing(self, choice: Choice) -> None:
-        """Keep in the run's journal that an operator sends the machine across the bounds.
-
-        Raises:
-            OSError: If it cannot be written; the machine does not go there then.
-        """
-        context, run, setpoint = self._context, choice.run, choice.target.setpoint
-        if context.gate.allows(Target(setpoint)):
+            raise BoundsError(f"{place.name} is out of bounds: {error}; {advice}") from None
+        if place.index is None or target.anyway:
             return
-        record = MoveRecord(context.stamp(), choice.point.index, setpoint)
-        folder = context.parameters.run_dir(run.run_id)
-        if run.by_client:  # its journal is still open
-            run.log.append(record)
-        elif folder is not None:
-            append_record(folder, to_json(record))
-        context.log.warning(
-            f"run '{run.run_id}': the machine goes to point {record.index} across the bounds, as an "
-            "operator has said"
-        )
+        record = run.records[place.index][1]
+        if record.error_code == EvaluateSetpoint.Result.VIOLATION:
+            raise BoundsError(
+                f"{place.name} violated a critical limit: {record.error_msg}; 'anyway' goes there"
+            )
 
     async def _go_and_hold(
         self, choice: Choice, interrupt: Future, goal: Goal, result: GoToWorkingPoint.Result
     ) -> None:
         await self._meet_machine(choice.run, interrupt)
-        await self._move(choice.run, choice.target, interrupt, goal, result)
+        await self._move(choice, choice.target, choice.place.index, interrupt, goal, result)
         if choice.measure:
             await self._measure(choice, interrupt, goal, result)
-        if not choice.hold_evaluations:
+        index = choice.place.index
+        if not choice.hold_evaluations or index is None:
             return
 
         def count(evaluations: int) -> None:
@@ -212,14 +230,14 @@ class WorkingPoints:
 
         best = await self._holding.hold(
             choice.run,
-            choice.point.index,
-            choice.weights,
+            index,
+            choice.place.weights,
             choice.radius,
             choice.hold_evaluations,
             interrupt,
             count,
         )
-        await self._move(choice.run, Target(best), interrupt, goal, result)
+        await self._move(choice, Target(best), None, interrupt, goal, result)
 
     async def _meet_machine(self, run: Run, interrupt: Future) -> None:
         """Check that the machine is there and suits the run.
@@ -238,6 +256,34 @@ class WorkingPoints:
         _check(interrupt)
 
     async def _move(
+        self,
+        choice: Choice,
+        target: Target,
+        evaluation: int | None,
+        interrupt: Future,
+        goal: Goal,
+        result: GoToWorkingPoint.Result,
+    ) -> None:
+        """Go to a target, ramped and verified; keep what was asked and where it ended.
+
+        Raises:
+            RunError: If the machine did not arrive.
+        """
+        context, run = self._context, choice.run
+        purpose = "restore" if choice.place.index is None else "go"
+        purpose = "hold" if choice.hold_evaluations else purpose
+        try:
+            keep_move(context, run, target, purpose, "operator", evaluation)
+        except OSError as error:
+            raise RunError(_CODES.INVALID_GOAL, str(error)) from None
+        try:
+            await self._ramp(run, target, interrupt, goal, result)
+        except RunError as error:
+            keep_state(context, run, values_of(result.readbacks), str(error))
+            raise
+        keep_state(context, run, values_of(result.readbacks))
+
+    async def _ramp(
         self,
         run: Run,
         target: Target,
@@ -261,7 +307,7 @@ class WorkingPoints:
                 readbacks=list(feedback.readbacks),
             )
 
-        units = run.problem.units
+        units, result.readbacks = run.problem.units, []
         try:
             answer = await context.gate.move(target, units, on_feedback, interrupt)
         except BoundsError as error:
@@ -311,16 +357,39 @@ class WorkingPoints:
         result.measured = named_values(means, units, stddevs)
 
 
+@dataclass(frozen=True)
+class Place:
+    """Where the machine can be sent.
+
+    Attributes:
+        name: Name for people.
+        setpoint: Set-point.
+        point: The same as a message, with what is promised there.
+        index: Index of its evaluation; None for the state before the run.
+        weights: Weights of the minimised objectives, with which it is held; empty off the front.
+    """
+
+    name: str
+    setpoint: dict[str, float]
+    point: msg.ParetoPoint
+    index: int | None = None
+    weights: tuple[float, ...] = ()
+
+
 class Choice(NamedTuple):
     """A goal that was checked."""
 
     run: Run
-    point: msg.ParetoPoint
+    place: Place
     target: Target
-    weights: tuple[float, ...]
     hold_evaluations: int
     radius: float
     measure: bool
+
+
+def _on_front(run: Run) -> set[int]:
+    """Return the indices of the evaluations on the front of a run."""
+    return {point["index"] for point in run.found.front}
 
 
 def _check(interrupt: Future) -> None:
