@@ -11,6 +11,7 @@
     python3 mobo.py resume RUN   continue an interrupted run, or one with a larger budget
     python3 mobo.py report RUN   create the report of a run again
     python3 mobo.py compare RUN RUN ...   compare runs in one page
+    python3 mobo.py logbook RUN  have a command of your own write about a run
     python3 mobo.py export RUN   write the evaluations of a run as a table
     python3 mobo.py rebuild BAG  rebuild a run from its bag
     python3 mobo.py replay RUN   compute every suggestion again, and compare
@@ -53,6 +54,7 @@ VERBS = {
     "resume": run.resume,
     "report": verbs.report,
     "compare": verbs.compare,
+    "logbook": verbs.logbook,
     "export": verbs.export,
     "rebuild": verbs.rebuild,
     "replay": verbs.replay,

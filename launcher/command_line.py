@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NoReturn
 
 from launcher.errors import UsageError
+from launcher.logbook import ON_REQUEST, ON_RUN_END, VARIABLES
 from launcher.machine import split_command
 from launcher.page import FIRST_PORT, LOCAL, MAX_PORT
 from launcher.ros_domain import LAST as LAST_DOMAIN
@@ -77,9 +79,12 @@ def _run_id(text: str) -> str:
     return text
 
 
-def _command(text: str) -> str:
-    split_command(text)
-    return text
+def _command(option: str) -> Callable[[str], str]:
+    def check(text: str) -> str:
+        split_command(text, option)
+        return text
+
+    return check
 
 
 def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argparse.ArgumentParser:
@@ -212,6 +217,16 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
         type=Path,
         help="file to write (default: compare.html, in the folder of the runs)",
     )
+    logbook = add("logbook", "have a command of your own write about a run")
+    logbook.add_argument("run", metavar="RUN", help=RUN_HELP)
+    logbook.add_argument(
+        "--command",
+        metavar="COMMAND",
+        type=_command("--command"),
+        default=os.environ.get(VARIABLES[ON_REQUEST]) or None,
+        help="command, which gets the run as JSON on its standard input (default: the environment variable "
+        f"{VARIABLES[ON_REQUEST]})",
+    )
     export = add("export", "write the evaluations of a run as a table into its folder")
     export.add_argument("run", metavar="RUN", help=RUN_HELP)
     export.add_argument(
@@ -254,13 +269,21 @@ def _add_machine(verb: argparse.ArgumentParser, default: str) -> None:
     verb.add_argument(
         "--machine",
         metavar="COMMAND",
-        type=_command,
+        type=_command("--machine"),
         help=f"program to start as the machine's node (default: {default})",
     )
 
 
 def _add_surroundings(verb: argparse.ArgumentParser, speed: str) -> None:
     """Add the options for the environment of a run's nodes."""
+    verb.add_argument(
+        "--on-run-end",
+        metavar="COMMAND",
+        type=_command("--on-run-end"),
+        default=os.environ.get(VARIABLES[ON_RUN_END]) or None,
+        help="command of your own for the logbook, which gets the finished or failed run as JSON on its "
+        f"standard input (default: the environment variable {VARIABLES[ON_RUN_END]})",
+    )
     verb.add_argument("--no-dashboard", action="store_true", help="do not start the page")
     verb.add_argument(
         "--port",

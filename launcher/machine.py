@@ -127,8 +127,12 @@ class Machine:
             )
 
 
-def split_command(command: str) -> list[str]:
+def split_command(command: str, option: str = "--machine") -> list[str]:
     """Return the words of a command, of which there is at least one.
+
+    Args:
+        command: Command line.
+        option: Option that gives it, for the error.
 
     Raises:
         UsageError: If it has no words, or a quotation that does not end.
@@ -136,9 +140,9 @@ def split_command(command: str) -> list[str]:
     try:
         words = shlex.split(command)
     except ValueError as error:
-        raise UsageError(f"--machine is '{command}', which is not a command: {error}") from None
+        raise UsageError(f"{option} is '{command}', which is not a command: {error}") from None
     if not words:
-        raise UsageError(f"--machine is '{command}'; it must be a command that starts a program")
+        raise UsageError(f"{option} is '{command}'; it must be a command that starts a program")
     return words
 
 

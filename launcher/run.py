@@ -19,6 +19,7 @@ from typing import Any
 
 from launcher.environment import PAGE_STAGES, STAGES, Stage, clean_environment
 from launcher.errors import LauncherError, RunFolderError, UsageError
+from launcher.logbook import ON_RUN_END, enter
 from launcher.machine import MACHINE_NODES, Machine, shared_domain
 from launcher.page import PageDoor
 from launcher.processes import Interrupted
@@ -346,6 +347,10 @@ def _carry_out(
         _record_end(folder, facts)
         if conclusion.state == "finished" and conclusion.reason:
             print(f"mobo.py: {conclusion.reason}", file=sys.stderr)
+        if options.on_run_end and conclusion.state in ("finished", "failed"):
+            trouble = enter(project.processes, options.on_run_end, ON_RUN_END, folder)
+            if trouble:
+                print(f"mobo.py: {trouble}", file=sys.stderr)
         print(folder.path, flush=True)
     if conclusion.exit_status:
         raise UnsuccessfulRunError(conclusion)

@@ -19,8 +19,9 @@ from launcher.environment import (
     clean_environment,
 )
 from launcher.errors import LauncherError, RunFolderError, UsageError
+from launcher.logbook import ON_REQUEST, VARIABLES, enter
 from launcher.machine import Machine, split_command
-from launcher.processes import Interrupted
+from launcher.processes import Interrupted, Processes
 from launcher.programs import LONG, THREADS, open_project
 from launcher.run import check_arguments, now, open_domain
 from launcher.run_folder import JOURNAL_FILE, RunFolder, is_bag, table
@@ -186,6 +187,24 @@ def compare(options: argparse.Namespace) -> None:
     with open_project(options.root) as project:
         module = "mobo_tuner.runs.report.comparison"
         project.ask(module, *folders, "--output", output, show=True)
+
+
+def logbook(options: argparse.Namespace) -> None:
+    """Have a command of the laboratory's own write about a run.
+
+    Raises:
+        UsageError: If no command is known.
+        LauncherError: If it failed or took too long.
+        RunFolderError: If there is no such run.
+    """
+    folder = RunFolder.find(options.run, options.runs_dir)
+    if not options.command:
+        name = VARIABLES[ON_REQUEST]
+        raise UsageError(f"no command is given: use --command or the environment variable {name}")
+    with Processes() as processes:
+        trouble = enter(processes, options.command, ON_REQUEST, folder)
+    if trouble:
+        raise LauncherError(trouble)
 
 
 def export(options: argparse.Namespace) -> None:

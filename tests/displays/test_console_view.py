@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from mobo_tuner.client import Evaluation, Front, Status
+from mobo_tuner.client import Evaluation, Front, Point, Status
 from mobo_tuner.core.problem import Constraint, Objective, Problem
-from mobo_tuner.displays.console_view import PlainView, evaluation_line, render
+from mobo_tuner.displays.console_view import PlainView, evaluation_line, render, sparkline
 from mobo_tuner.displays.progress import RunProgress
 
 EVALUATION = Evaluation(
@@ -39,9 +39,9 @@ EVALUATION = Evaluation(
 )
 
 
-def shown(progress: RunProgress, stage: str = "") -> str:
+def shown(progress: RunProgress, stage: str = "", width: int = 100) -> str:
     """Return the live view as text."""
-    console = Console(file=io.StringIO(), width=100)
+    console = Console(file=io.StringIO(), width=width)
     with console.capture() as capture:
         console.print(render("run", progress, stage))
     return capture.get()
@@ -81,8 +81,39 @@ def test_the_live_view_shows_figures_of_the_run_and_why_it_waits() -> None:
     assert "0 on the front   2 feasible   1 failed" in text
     assert "about 1:54 left" in text  # 57 evaluations of 2 s
     rows = {line.split()[0]: line for line in text.splitlines() if line.strip()}
-    assert rows["eps_x"].split()[-2:] == ["index", "31"]
-    assert rows["yield"].split()[-3:] == ["0.75", "index", "30"]
+    assert rows["eps_x"].split()[-1] == "31"
+    assert rows["yield"].split()[-2:] == ["0.75", "30"]
+
+
+@pytest.mark.parametrize("width", [60, 80, 200])
+def test_the_live_view_fits_the_width_of_the_terminal(width: int) -> None:
+    progress = RunProgress(60)
+    names = [f"eps_{i}" for i in range(7)]
+    values = {name: 1234.5 + i for i, name in enumerate(names)}
+    spreads = {name: (value, 0.25) for name, value in values.items()}
+    for index in range(40):
+        volume = math.nan if index == 5 else float(index)
+        made = replace(
+            EVALUATION, index=index, objectives=values, diagnostics=spreads, hypervolume=volume
+        )
+        progress.add(made)
+    points = [Point(i, {}, {n: v * (1 + i) for n, v in values.items()}, {}) for i in (0, 1)]
+    progress.set_front(Front("run", tuple(points), 0.0, 0.0, {}, {}))
+    lines = shown(progress, width=width).splitlines()
+    assert max(map(len, lines)) <= width
+    assert "evaluation 39, 40 of 60 done" in " ".join(lines)
+    [spark] = [line.strip() for line in lines if "█" in line]
+    assert spark == sparkline(progress.hypervolumes, min(width - 1, 60))
+    [row] = [line for line in lines if line.startswith("eps_6")]
+    assert "1.24e+03 to 2.48e+03" in row
+
+
+def test_a_sparkline_shows_the_whole_run_in_its_width() -> None:
+    assert sparkline([], 10) == ""
+    assert sparkline([0.0, 0.0], 10) == "▁▁"
+    assert sparkline([0.0, math.nan, 8.0], 10) == "▁ █"
+    long = sparkline([float(i) for i in range(5000)], 40)
+    assert (len(long), long[-1]) == (40, "█")
 
 
 def test_the_plain_view_says_once_why_the_run_waits() -> None:

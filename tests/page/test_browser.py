@@ -11,7 +11,7 @@ import signal
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -22,14 +22,19 @@ from axe_playwright_python.sync_playwright import Axe
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from playwright.sync_api import BrowserContext, Page, ViewportSize
 from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from launcher.ros_domain import RosDomain
+from mobo_msgs_py.action import EvaluateSetpoint
 from mobo_tuner.client import TunerClient
+from mobo_tuner.machine.double import Answer, MachineDouble
+from mobo_tuner.ros.executor_thread import ExecutorThread
 from robustness.processes import NodeProcess, NodeStarter
 from tests.support.browser import browser, read, until, watched
 from tests.support.paths import CONFIG
 from tests.support.processes import wait_until
+from tests.support.tuner import toy_machine, toy_values
 
 EVIL = "<img src=x onerror=window.hacked=1>"
 ENDLESS = 5000  # evaluations
@@ -50,16 +55,22 @@ class Stage:
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain)
         self.rogue = Node("rogue", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.rogue)
+        self._spinning: ExecutorThread | None = None
         past = self.runs_dir / "past"
         past.mkdir(parents=True)
         facts = {"state": "failed", "started": "2026-01-02T03:04:05+00:00", "reason": EVIL}
         (past / "run.json").write_text(json.dumps(facts), encoding="utf-8")
-        self.start("-m", "awa_sim_node.node", *self._toy, "-p", "awa_sim:speed:=20.0")
+        self.machine = self.start(
+            "-m", "awa_sim_node.node", *self._toy, "-p", "awa_sim:speed:=20.0"
+        )
         self.tuner = self.start_tuner()
         self.page_process, self.address = self.start_page()
 
     def start_tuner(self) -> NodeProcess:
-        options = ("-p", f"tuner:runs_dir:={self.runs_dir}", "-p", "tuner:initial_evaluations:=3")
+        given = (f"runs_dir:={self.runs_dir}", "initial_evaluations:=3", "on_failure:=ask")
+        options = [word for text in given for word in ("-p", f"tuner:{text}")]
         return self.start("-m", "mobo_tuner.nodes.tuner", *self._toy, *options)
 
     def start_page(
@@ -75,12 +86,22 @@ class Stage:
         assert found
         return process, found[1]
 
-    def tune(self, run_id: str) -> None:
-        """Start a run that does not end of itself."""
-        self._pool.submit(self.client.tune, evaluations=ENDLESS, run_id=run_id)
+    def tune(self, run_id: str, evaluations: int = ENDLESS) -> None:
+        """Start a run, which does not end of itself if nothing else is said."""
+        self._pool.submit(self.client.tune, evaluations=evaluations, run_id=run_id)
+
+    def replace_machine(self, answer: Callable[[EvaluateSetpoint.Goal], Answer]) -> MachineDouble:
+        """Have a double in this process in the place of the simulator."""
+        self.machine.kill()
+        self._spinning = ExecutorThread(self._executor, spin=True)
+        double = self._spinning.call(lambda: toy_machine(self.rogue, answer))
+        assert isinstance(double, MachineDouble)
+        return double
 
     def close(self) -> None:
         self.client.close()
+        if self._spinning is not None:
+            self._spinning.close()
         self.rogue.destroy_node()
         self._context.try_shutdown()
         for process in self.start.processes:
@@ -271,6 +292,38 @@ def test_the_models_say_what_drives_what_through_the_chosen_point(page: Page) ->
     page.get_by_role("tab", name="All coordinates").click()
 
 
+def test_what_is_marked_on_an_axis_selects(page: Page) -> None:
+    page.wait_for_selector(".details canvas")
+    rows = page.locator(".point-table tbody tr")
+    place = page.evaluate(
+        """() => {
+          const element = document.querySelector(".details .wide");
+          element.scrollIntoView({block: "center"});
+          const chart = getElement(element.id.slice(1)).chart;
+          const axis = chart.getModel().getComponent("parallelAxis", 0).axis;
+          const points = chart.getOption().series[0].data.map((line) => line.value[0]);
+          const best = Math.min(...points);
+          const box = element.getBoundingClientRect();
+          const [x, y] = chart.getModel().getComponent("parallel", 0).coordinateSystem
+            .dataToPoint(best, axis.dim);
+          return {x: box.x + x, y: box.y + y, best};
+        }"""
+    )
+    page.mouse.move(place["x"], place["y"] - 4)
+    page.mouse.down()
+    page.mouse.move(place["x"], place["y"] + 4, steps=4)
+    page.mouse.up()
+    page.evaluate("window.scrollTo(0, 0)")
+    until(page, lambda: "in what you marked" in read(page, ".details .quiet"), "the selection")
+    kept = re.match(r"(\d+) of (\d+) points", read(page, ".details .quiet"))
+    assert kept
+    assert 1 <= int(kept[1]) < int(kept[2])
+    until(page, lambda: rows.count() >= int(kept[1]), "the rows")
+    assert page.get_by_text(f"{place['best']:.4g}"[:5]).count() > 0
+    press(page, "Show all points")
+    until(page, lambda: "Drag along an axis" in read(page, ".details .quiet"), "all points")
+
+
 def barriers(page: Page) -> list[str]:
     """What keeps people with aids from reading or acting, as axe-core sees it."""
     found = Axe().run(page).response["violations"]
@@ -343,6 +396,70 @@ def test_a_page_that_is_restarted_is_found_again(stage: Stage, page: Page) -> No
     stage.page_process, _ = stage.start_page(port=port)
     until(page, lambda: "lost its server" not in read(page, "body"), "the server")
     until(page, lambda: page.locator(".live.fresh").count() == 1, "the tuner")
+
+
+def test_a_failure_asks_every_viewer_and_one_answers(
+    stage: Stage, page: Page, chromium: BrowserContext
+) -> None:
+    def answer(goal: EvaluateSetpoint.Goal) -> Answer:
+        failed = goal.index == 1
+        code = EvaluateSetpoint.Result.INVALID_MEASUREMENT if failed else 0
+        return Answer({} if failed else toy_values(goal), code, "no beam" * failed)
+
+    machine = stage.replace_machine(answer)
+    stage.tune("asked", 5)
+    question = page.locator(".question")
+    until(page, lambda: "no beam. What now?" in question.inner_text(), "the question")
+    other = chromium.new_page()
+    other.goto(stage.address)
+    until(other, lambda: "no beam" in read(other, ".question"), "the question, for the other")
+    attempts = len(machine.goals)
+    other.get_by_role("button", name="Try again", exact=True).click()
+    page.bring_to_front()
+    until(page, lambda: len(machine.goals) > attempts, "the next attempt")
+    until(page, question.is_visible, "the next question")
+    press(page, "Skip it")
+    answered(page, "evaluation 1 is skipped")
+    until(page, lambda: "ended after 5 evaluations" in question.inner_text(), "the end")
+    until(other, lambda: "ended after 5" in read(other, ".question"), "the end, for the other")
+    lines = (stage.runs_dir / "asked" / "journal.jsonl").read_text().splitlines()
+    [failed] = [r for r in map(json.loads, lines) if r.get("error_msg") == "no beam"]
+    assert (failed["index"], failed["valid"]) == (1, False)
+    other.close()
+
+
+def test_at_the_end_a_run_gets_more_evaluations_or_is_left(page: Page) -> None:
+    press(page, "More evaluations…")
+    page.get_by_label("evaluations more").fill("2")
+    press(page, "Begin")
+    answered(page, "continues run asked up to 7 evaluations")
+    until(page, lambda: read(page, ".count") == "7 / 7", "the evaluations")
+    until(page, lambda: "after 7 evaluations" in read(page, ".question"), "the end")
+    press(page, "Leave it")
+    until(page, lambda: not page.locator(".question").is_visible(), "the question to go")
+
+
+def test_a_point_is_held(page: Page) -> None:
+    page.locator(".point-table tbody tr").first.locator("td").nth(2).click()
+    until(page, lambda: chosen(page) is not None, "the choice")
+    press(page, "Go to point…")
+    page.get_by_label("evaluations to hold it against drift").fill("2")
+    press(page, "Move the machine")
+    answered(page, r"is at the point of evaluation \d+ and held it for 2 evaluations")
+
+
+def test_past_runs_are_opened_and_compared(page: Page) -> None:
+    page.get_by_role("tab", name="History").click()
+    for run_id in ("steered", "asked"):
+        page.get_by_role("checkbox", name=f"run {run_id}", exact=True).click()
+    press(page, "Compare")
+    until(page, lambda: page.locator(".details .slice:has(canvas)").count() == 1, "the plot")
+    page.get_by_role("checkbox", name="run asked", exact=True).click()
+    press(page, "Open")
+    until(page, lambda: read(page, ".run-id") == "past run steered", "the past run")
+    assert page.get_by_role("button", name="Go to point…", exact=True).is_disabled()
+    press(page, "Back to now")
+    until(page, lambda: read(page, ".run-id").startswith("run run"), "the run of now")
 
 
 def test_beyond_this_host_only_who_has_the_token_may_act(

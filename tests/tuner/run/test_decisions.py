@@ -68,6 +68,13 @@ def test_what_keeps_the_machine_from_moving_is_handled_by_one_scheme(
     assert parameters().values[policy] == "wait"
 
 
+def test_a_failure_is_asked_about() -> None:
+    for code in (CODES.TIMEOUT, CODES.INVALID_MEASUREMENT):
+        decision = decide(answer(code), 1, Loss(60.0), parameters(on_failure="ask"))
+        assert decision == Decision("pause", counts=False)
+    assert judge(BAD, 1, parameters(on_failure="ask")).action == "continue"
+
+
 @pytest.mark.parametrize("code", [CODES.BUSY, CODES.INTERLOCK, CODES.NOT_ACTIVE])
 def test_a_machine_that_has_just_returned_may_not_be_ready(code: int) -> None:
     loss = Loss(60.0)

@@ -194,6 +194,32 @@ class Connection:
                         self._wait(finished, name, float("inf"))
                 raise
 
+    def begin(self, name: str, goal: Any, has_begun: Callable[[], bool]) -> Any:
+        """Send a goal that is not canceled when this connection is closed.
+
+        Args:
+            name: Name of the action.
+            goal: Goal of its type.
+            has_begun: Function that says whether the tuner pursues it.
+
+        Returns:
+            The result if the goal has ended already, as one that is refused does; otherwise None.
+
+        Raises:
+            TunerError: If there is no tuner, or it does not answer.
+        """
+        with self._pursuit() as pursuit:
+            self._connect(pursuit)
+            client = self._actions[name]
+            self._ready(client.server_is_ready, name, pursuit)
+            handle = self._wait(
+                self._executor.start(lambda: client.send_goal_async(goal)), name, self._timeout
+            )
+            finished = self._executor.start(handle.get_result_async)
+            failure = f"the tuner did not begin within {self._timeout:g} s"
+            self._until(lambda: finished.done() or has_begun(), self._timeout, failure, pursuit)
+        return finished.result().result if finished.done() else None
+
     def cancel(self) -> None:
         """Cancel all goals and all waits for the tuner, without waiting."""
         for pursuit in list(self._pursuits):

@@ -199,6 +199,33 @@ class TunerClient:
             error=error,
         )
 
+    def start(self, *, evaluations: int = 0, run_id: str = "", resume_from: str = "") -> str:
+        """Start a run that belongs to nobody: it goes on when this client is closed.
+
+        Args:
+            evaluations: Budget; 0 = that of the resumed run, or else the tuner's parameter.
+            run_id: Id of the run; empty = the time.
+            resume_from: Id of the run to resume; empty = none.
+
+        Returns:
+            The id of the run.
+
+        Raises:
+            TunerError: If there is no tuner, or it refuses the run.
+        """
+        goal = Tune.Goal(
+            run_id=run_id or new_run_id("run"),
+            evaluations=count(evaluations, "evaluations"),
+            resume_from=resume_from,
+        )
+        result = self._connection.begin(
+            "tune", goal, lambda: self._connection.status.run_id == goal.run_id
+        )
+        error = None if result is None else _error(result)
+        if error is not None:
+            raise error
+        return goal.run_id
+
     def watch(
         self,
         *,

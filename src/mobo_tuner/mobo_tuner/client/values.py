@@ -13,7 +13,7 @@ from mobo_tuner.core.problem import Constraint, Objective, Observable, Problem, 
 from mobo_tuner.errors import UserError
 from mobo_tuner.parameter_spec import NULL
 from mobo_tuner.ros.conversions import values_of
-from mobo_tuner.runs.records import EvaluationRecord, Source, from_message
+from mobo_tuner.runs.records import PAUSED_DURING, EvaluationRecord, Source, from_message
 
 
 class ErrorCode(StrEnum):
@@ -85,6 +85,11 @@ class Status:
     front_size: int = 0
     recorder: str = ""
     free_space: float = math.nan
+
+    @property
+    def asks(self) -> bool:
+        """Whether an operator must decide on the evaluation in flight: resume = try again, skip or stop."""
+        return self.state == "paused" and self.message.startswith(PAUSED_DURING)
 
 
 @dataclass(frozen=True)

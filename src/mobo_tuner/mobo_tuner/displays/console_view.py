@@ -5,19 +5,24 @@ from __future__ import annotations
 import math
 import os
 import sys
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import TextIO, TypedDict
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from mobo_tuner.client import Evaluation, Front, Status
+from mobo_tuner.client import Evaluation, Front, Status, TunerClient
 from mobo_tuner.client.follower import OnEvaluation, OnFront, OnProblem, OnStatus
 from mobo_tuner.core.problem import Problem
+from mobo_tuner.displays.keys import HELP, Keys, reading_keys
 from mobo_tuner.displays.progress import RunProgress
 
+BAR_WIDTH, SPARK_WIDTH = 30, 60  # at most
+BARS = "▁▂▃▄▅▆▇█"
 _STATES = {
     "idle": "idle",
     "waiting": "waiting for the machine",
@@ -65,6 +70,15 @@ class RunView:
 
     def hint(self, text: str) -> None:
         """Say what the user can do now."""
+
+    def keys(self, client: TunerClient) -> AbstractContextManager[None]:
+        """Let keys steer the run until the end of the block, if this is the view of a terminal.
+
+        Args:
+            client: Client of the tuner.
+        """
+        del client
+        return nullcontext()
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Show an evaluation."""
@@ -115,6 +129,14 @@ class LiveView(RunView):
         """Show what the tuner does; it comes at least once a second."""
         super().status(status)
         self._draw()
+
+    @contextmanager
+    def keys(self, client: TunerClient) -> Iterator[None]:
+        """Let keys steer the run until the end of the block."""
+        with reading_keys(Keys(client, self.hint).press) as readable:
+            if readable:
+                self.hint(HELP)
+            yield
 
     def close(self) -> None:
         """Leave the last view in the terminal."""
@@ -208,7 +230,14 @@ def render(run_id: str, progress: RunProgress, stage: str = "", hint: str = "") 
         head.append(f"\n{hint}", "bold")
     if progress.last is None:
         return head
-    return Group(head, _bar(progress), _figures(progress), Text(), _objectives(progress))
+    return Group(
+        head,
+        _Bar(progress),
+        _figures(progress),
+        _Sparkline(progress),
+        Text(),
+        _objectives(progress),
+    )
 
 
 def _activity(status: Status) -> str:
@@ -217,16 +246,62 @@ def _activity(status: Status) -> str:
     return _STATES.get(status.state, "")
 
 
-def _bar(progress: RunProgress) -> RenderableType:
-    assert progress.last is not None
-    row = Table.grid(padding=(0, 2, 0, 0))
-    done = progress.evaluations
-    row.add_row(
-        f"evaluation [bold]{progress.last.index}[/bold], {done} of {progress.budget} done",
-        ProgressBar(total=max(progress.budget, 1), completed=done, width=30),
-        f"[dim]{_duration(progress.seconds)}, about {_duration(progress.seconds_left)} left[/dim]",
+class _Bar:
+    """How far the run is; the bar gets the room that the texts leave."""
+
+    def __init__(self, progress: RunProgress) -> None:
+        self._progress = progress
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        progress = self._progress
+        assert progress.last is not None
+        done = progress.evaluations
+        texts = (
+            f"evaluation {progress.last.index}, {done} of {progress.budget} done",
+            f"{_duration(progress.seconds)}, about {_duration(progress.seconds_left)} left",
+        )
+        room = options.max_width - sum(map(len, texts)) - 2 * len(texts)
+        bar = ProgressBar(
+            total=max(progress.budget, 1), completed=done, width=min(max(room, 8), BAR_WIDTH)
+        )
+        row = Table.grid(padding=(0, 2, 0, 0))
+        row.add_row(
+            Text(texts[0], no_wrap=True), bar, *([] if room < 8 else [Text(texts[1], "dim")])
+        )
+        yield row
+
+
+class _Sparkline:
+    """The hypervolume over the evaluations, in one line."""
+
+    def __init__(self, progress: RunProgress) -> None:
+        self._values = progress.hypervolumes
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        yield Text(sparkline(self._values, min(options.max_width - 1, SPARK_WIDTH)), "green")
+
+
+def sparkline(values: Sequence[float], width: int) -> str:
+    """Return values as one line of bars, from 0 to the largest; unknown ones are gaps.
+
+    Args:
+        values: Values in their order.
+        width: Most characters; of more values, the last of each group is shown.
+
+    Example:
+        >>> sparkline([0.0, 1.0, 2.0, 4.0, 8.0], 10)
+        '▁▂▃▅█'
+    """
+    count = min(len(values), max(width, 1))
+    shown = [values[(i + 1) * len(values) // count - 1] for i in range(count)]
+    top = max((value for value in shown if math.isfinite(value)), default=0.0)
+    if top <= 0.0:
+        return BARS[0] * count
+    steps = len(BARS) - 1
+    return "".join(
+        BARS[math.ceil(max(value, 0.0) / top * steps)] if math.isfinite(value) else " "
+        for value in shown
     )
-    return row
 
 
 def _figures(progress: RunProgress) -> RenderableType:
@@ -249,21 +324,23 @@ def _figures(progress: RunProgress) -> RenderableType:
 def _objectives(progress: RunProgress) -> RenderableType:
     assert progress.last is not None
     last = progress.last
-    table = Table(box=None, padding=(0, 3, 0, 0), header_style="dim")
-    table.add_column("objective")
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
+    table.add_column("objective", no_wrap=True)
     table.add_column("last", justify="right")
     table.add_column("best", justify="right")
     table.add_column("unit", style="dim")
-    table.add_column("best at", justify="right", style="dim")
+    table.add_column("at", justify="right", style="dim")
+    table.add_column("on the front", style="dim", no_wrap=True)
     for name in last.objectives:
-        best = progress.best(name)
+        best, ends = progress.best(name), progress.front_range(name)
         newest = best is not None and best[1] == last.index
         table.add_row(
             name,
             _value(last, name),
             Text("—" if best is None else f"{best[0]:.4g}", "bold green" if newest else "bold"),
             last.units.get(name, ""),
-            "" if best is None else f"index {best[1]}",
+            "" if best is None else f"{best[1]}",
+            "" if ends is None else f"{ends[0]:.3g} to {ends[1]:.3g}",
         )
     return table
 

@@ -26,6 +26,7 @@ class RunProgress:
         self.evaluations = 0
         self.status = Status("unknown")
         self._front_size = 0
+        self._ranges: dict[str, tuple[float, float]] = {}
         self._started = time.monotonic()
         self._problem: Problem | None = None
         self._made: list[Evaluation] = []
@@ -46,8 +47,14 @@ class RunProgress:
         self.budget = status.budget or self.budget
 
     def set_front(self, front: Front) -> None:
-        """Take over the size of the front."""
+        """Take over the size of the front, and its extremes."""
         self._front_size = len(front.points)
+        self._ranges.clear()
+        for name in front.points[0].objectives if front.points else ():
+            values = [p.objectives.get(name, math.nan) for p in front.points]
+            known = [value for value in values if math.isfinite(value)]
+            if known:
+                self._ranges[name] = min(known), max(known)
 
     def add(self, evaluation: Evaluation) -> None:
         """Take over one evaluation."""
@@ -61,6 +68,15 @@ class RunProgress:
     def best(self, name: str) -> tuple[float, int] | None:
         """Return the best feasible value of an objective and the index of its evaluation."""
         return self._best.get(name)
+
+    def front_range(self, name: str) -> tuple[float, float] | None:
+        """Return the least and the greatest value of an objective on the front; None without one."""
+        return self._ranges.get(name)
+
+    @property
+    def hypervolumes(self) -> list[float]:
+        """Hypervolume after each evaluation."""
+        return [evaluation.hypervolume for evaluation in self._made]
 
     @property
     def failed(self) -> int:

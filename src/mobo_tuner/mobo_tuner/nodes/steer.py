@@ -51,11 +51,12 @@ def status(client: TunerClient, _: argparse.Namespace) -> str:
 
 
 def watch(client: TunerClient, _: argparse.Namespace) -> str:
-    """Show the active run until it ends; Ctrl-C only ends the view."""
+    """Show the active run until it ends; keys steer it, and Ctrl-C only ends the view."""
     now = client.status()
     view = make_view(now.run_id, now.budget)
     try:
-        last = client.watch(**view.callbacks)
+        with view.keys(client):
+            last = client.watch(**view.callbacks)
     except KeyboardInterrupt:
         return f"run {now.run_id} continues"
     finally:

@@ -7,7 +7,7 @@ evaluation as their third value. Tooltips are drawn on the canvas, where text is
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 from mobo_tuner.client import Evaluation, Point
 from mobo_tuner.core.problem import Objective, Problem
@@ -29,9 +29,19 @@ from mobo_tuner.page.chart_parts import (
 from mobo_tuner.page.words import measured, number, quantity
 
 MAX_LINES = 150  # of the parallel coordinates
+FAINT: Options = {"itemStyle": {"opacity": 0.15}}
+PALETTE = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#0072b2", "#8a94a3")
+"""Colours of several runs, of Okabe and Ito."""
 
 
-def front(run: RunBoard, x: str, y: str, chosen: int | None, colours: Colours) -> Options:
+def front(
+    run: RunBoard,
+    x: str,
+    y: str,
+    chosen: int | None,
+    colours: Colours,
+    wanted: Callable[[Point], bool] = lambda _: True,
+) -> Options:
     """Return the plot of two objectives: all evaluations, the front, the reference point, the box.
 
     Args:
@@ -40,6 +50,7 @@ def front(run: RunBoard, x: str, y: str, chosen: int | None, colours: Colours) -
         y: Objective of the vertical axis.
         chosen: Index of the chosen point of the front.
         colours: Colours of the plot.
+        wanted: Function that says whether a point of the front is shown clearly.
     """
     problem = run.problem
     assert problem is not None
@@ -58,8 +69,12 @@ def front(run: RunBoard, x: str, y: str, chosen: int | None, colours: Colours) -
                 failed if not evaluation.valid else others if evaluation.feasible else infeasible
             )
             group.append(place)
-    measured_points = [_front_point(p, x, y, problem) for p in points if not _guessed(p, x, y)]
-    guessed = [_front_point(p, x, y, problem) for p in points if _guessed(p, x, y)]
+    drawn = [
+        (_front_point(p, x, y, problem) | ({} if wanted(p) else FAINT), _guessed(p, x, y))
+        for p in points
+    ]
+    measured_points = [point for point, is_guessed in drawn if not is_guessed]
+    guessed = [point for point, is_guessed in drawn if is_guessed]
     last = [p for p in [_place(e, x, y) for e in run.evaluations[-1:]] if p is not None]
     ring = [p for p in (*measured_points, *guessed) if p["value"][2] == chosen]
     used = [*measured_points, *guessed, *others, *last] or [*infeasible, *failed]
@@ -110,6 +125,32 @@ def hypervolume(run: RunBoard, colours: Colours) -> Options:
             curve("of the readings as they are", plain, colours.others, dashed=True),
             curve("hypervolume", modelled, colours.front, width=3),
         ],
+    )
+    plot["tooltip"] |= {"trigger": "axis"}
+    del plot["tooltip"]["formatter"]
+    return plot
+
+
+def compared(runs: Sequence[RunBoard], colours: Colours) -> Options:
+    """Return the hypervolumes of several runs over their evaluations, on one plot."""
+    names = [run.run_id for run in runs]
+    lines = [
+        curve(
+            run.run_id,
+            [[e.index + 1, finite(e.hypervolume)] for e in thinned(run.evaluations)],
+            PALETTE[i % len(PALETTE)],
+            width=3,
+            dashed=i >= len(PALETTE),
+        )
+        for i, run in enumerate(runs)
+    ]
+    plot = options(
+        colours,
+        grid=[{"left": 62, "right": 20, "top": 42, "bottom": 46}],
+        legend=legend(colours, names),
+        xAxis=[axis("evaluations", colours, 28, min=0, minInterval=1)],
+        yAxis=[axis("hypervolume", colours, 46)],
+        series=lines,
     )
     plot["tooltip"] |= {"trigger": "axis"}
     del plot["tooltip"]["formatter"]
@@ -182,6 +223,7 @@ def _rounded(value: float, margin: float) -> float:
 def _parallel_axis(position: int, name: str, unit: str, colours: Colours) -> Options:
     return {
         "dim": position,
+        "id": name,
         "name": f"{name}\n[{unit}]" if unit else name,
         "scale": True,
         "nameTextStyle": {

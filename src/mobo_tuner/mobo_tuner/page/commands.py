@@ -81,6 +81,15 @@ class Commands:
 
         return await self._ask(change)
 
+    async def more(self, run_id: str, evaluations: int) -> Answer:
+        """Continue a run that has ended in a new one, up to a budget."""
+
+        def more() -> str:
+            new = self._client.start(resume_from=run_id, evaluations=evaluations)
+            return f"run {new} continues run {run_id} up to {evaluations} evaluations"
+
+        return await self._ask(more)
+
     async def go(self, index: int, run_id: str, hold: int) -> Answer:
         """Go to a point of the front, and wait until the machine has arrived."""
 

@@ -69,7 +69,10 @@ class FrontPanel:
         if not self._settled and size >= TELLING:
             self._settle(points, problem)
         self._note.set_text(f"{size} points" + ("" if size else ": none is feasible yet"))
-        show(self.chart, charts.front(run, viewer.x, viewer.y, viewer.chosen, viewer.colours))
+        show(
+            self.chart,
+            charts.front(run, viewer.x, viewer.y, viewer.chosen, viewer.colours, viewer.wants),
+        )
 
     def _settle(self, points: Sequence[Point], problem: Problem) -> None:
         """Show the two objectives that conflict most, once, unless the viewer chose others."""
@@ -173,6 +176,7 @@ class PointsPanel:
                 for name in names
             ]
         points = run.front.points if run.front is not None else ()
+        points = tuple(filter(self._viewer.wants, points))
         rows = [_row(point) for point in points]
         if rows != self._shown:
             self._shown = rows
@@ -208,19 +212,64 @@ class PointsPanel:
 
 
 class CoordinatesPanel:
-    """Parallel coordinates of the front."""
+    """Parallel coordinates of the front; dragging along an axis keeps the points in that interval."""
 
     def __init__(self, viewer: Viewer) -> None:
         self._viewer = viewer
+        with ui.element("div").classes("card-head"):
+            self._note = ui.label().classes("quiet grow").mark("brush-note")
+            self._clear = ui.button("Show all points", on_click=self._forget, color=None)
+            self._clear.props("no-caps flat")
         self.chart = ui.echart(dict(EMPTY)).classes("chart wide")
         self.chart.props(
             'role="img" aria-label="objectives and variables of all points of the front"'
         )
+        self.chart.on("chart:axisareaselected", self._brush, ["parallelAxisId", "intervals"])
 
     def refresh(self, run: RunBoard) -> None:
         """Show the coordinates as they are now."""
-        if run.problem is not None:
-            show(self.chart, charts.parallel(run, self._viewer.chosen, self._viewer.colours))
+        if run.problem is None:
+            return
+        show(self.chart, charts.parallel(run, self._viewer.chosen, self._viewer.colours))
+        points = run.front.points if run.front is not None else ()
+        kept = sum(map(self._viewer.wants, points))
+        self._clear.set_visibility(bool(self._viewer.brush))
+        self._note.set_text(
+            f"{kept} of {len(points)} points are in what you marked."
+            if self._viewer.brush
+            else "Drag along an axis to keep the points in that interval."
+        )
+
+    def _brush(self, event: events.GenericEventArguments) -> None:
+        args = event.args if isinstance(event.args, dict) else {}
+        run, name = self._viewer.run, args.get("parallelAxisId")
+        if run is None or run.problem is None or run.front is None:
+            return
+        if name not in (*run.problem.objective_names, *run.problem.variable_names):
+            return
+        intervals = _intervals(args.get("intervals"))
+        if intervals:
+            self._viewer.brush[name] = intervals
+        else:
+            self._viewer.brush.pop(name, None)
+        kept = [point.index for point in run.front.points if self._viewer.wants(point)]
+        self._viewer.choose(kept[0] if len(kept) == 1 else None)
+
+    def _forget(self) -> None:
+        for name in self._viewer.brush:
+            action = {"type": "axisAreaSelect", "parallelAxisId": name, "intervals": []}
+            self.chart.run_chart_method("dispatchAction", action)
+        self._viewer.brush.clear()
+        self._viewer.choices += 1
+
+
+def _intervals(given: Any) -> list[tuple[float, float]]:
+    """Return the intervals that a browser sent, as far as they are ones."""
+    try:
+        pairs = [(float(low), float(high)) for low, high in given]
+    except (TypeError, ValueError):
+        return []
+    return [(low, high) for low, high in pairs if math.isfinite(low) and math.isfinite(high)]
 
 
 def show(chart: ui.echart, options: chart_parts.Options) -> None:

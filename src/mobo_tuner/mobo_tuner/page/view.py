@@ -75,6 +75,10 @@ class View:
         with ui.element("header").classes("top"):
             ui.label("MOBO").classes("brand").props('role="heading" aria-level="1"')
             self._run_id = ui.label().classes("run-id").mark("run-id")
+            self._back = ui.button(
+                "Back to now", on_click=lambda: self._viewer.show_past(None), color=None
+            )
+            self._back.props("no-caps unelevated").classes("act")
             self._live = ui.label().classes("live").mark("live")
             if self._viewer.commands is None:
                 ui.label("read only").classes("badge")
@@ -101,7 +105,7 @@ class View:
             with ui.tab_panel("models"):
                 models = ModelsPanel(self._viewer, insights)
             with ui.tab_panel("history"):
-                past = HistoryPanel(history)
+                past = HistoryPanel(self._viewer, history)
         self._panels = panels
         self._details = {
             "coordinates": coordinates.refresh,
@@ -127,10 +131,15 @@ class View:
         if self._actions is not None:
             self._actions.refresh()
         self._refresh_header()
-        run = board.run
+        run = self._viewer.run
         if run is None:
             return
-        shown = (board.version, self._viewer.choices, self._viewer.dark, self._panels.value)
+        shown = (
+            board.version if self._viewer.past is None else 0,
+            self._viewer.choices,
+            self._viewer.dark,
+            self._panels.value,
+        )
         period = PLOT_PERIOD * (4.0 if len(run.evaluations) > LONG_RUN else 1.0)
         chosen_now = self._shown[1:] != shown[1:]
         if shown == self._shown and self._panels.value == "models":
@@ -146,8 +155,12 @@ class View:
 
     def _refresh_header(self) -> None:
         board = self._viewer.board
-        run_id = board.run.run_id if board.run is not None else ""
-        self._run_id.set_text(f"run {run_id}" if run_id else "no run yet")
+        run = self._viewer.run
+        run_id = run.run_id if run is not None else ""
+        old = self._viewer.past is not None
+        self._back.set_visibility(old)
+        what = "past run" if old else "run"
+        self._run_id.set_text(f"{what} {run_id}" if run_id else "no run yet")
         fresh = not board.is_stale
         age = "no tuner" if math.isinf(board.age) else f"stale, {duration(board.age)} old"
         self._live.set_text("● live" if fresh else f"▲ {age}")

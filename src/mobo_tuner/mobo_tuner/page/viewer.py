@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from nicegui import ui
 
+from mobo_tuner.client import Point
 from mobo_tuner.page import chart_parts
-from mobo_tuner.page.board import Board
+from mobo_tuner.page.board import Board, RunBoard
 from mobo_tuner.page.commands import Answer, Commands
 
 
@@ -23,6 +25,8 @@ class Viewer:
         chosen: Index of the chosen point of the front.
         x: Objective of the horizontal axis; empty = the first.
         y: Objective of the vertical axis; empty = the second.
+        brush: Intervals of objectives and variables in which points are wanted, by name.
+        past: Run of the past that is shown in place of the active one; None for that.
         choices: Number of changes of what is above.
         say: Function that shows an answer of the tuner.
     """
@@ -33,6 +37,8 @@ class Viewer:
     chosen: int | None = None
     x: str = ""
     y: str = ""
+    brush: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    past: RunBoard | None = None
     choices: int = 0
     say: Callable[[Answer], None] = field(default=lambda _: None)
 
@@ -41,9 +47,28 @@ class Viewer:
         """Colours of its plots."""
         return chart_parts.DARK if self.dark else chart_parts.LIGHT
 
+    @property
+    def run(self) -> RunBoard | None:
+        """Run that is shown."""
+        return self.past or self.board.run
+
+    def show_past(self, run: RunBoard | None) -> None:
+        """Show a run of the past, or the active one again."""
+        self.past, self.chosen = run, None
+        self.brush.clear()
+        self.choices += 1
+
+    def wants(self, point: Point) -> bool:
+        """Return whether a point lies in all intervals that the viewer brushed."""
+        values = {**point.setpoint, **point.objectives}
+        return all(
+            any(low <= values.get(name, math.nan) <= high for low, high in intervals)
+            for name, intervals in self.brush.items()
+        )
+
     def choose(self, index: int | None) -> None:
         """Choose a point of the front, if it is one."""
-        run = self.board.run
+        run = self.run
         points = run.front.points if run is not None and run.front is not None else ()
         if index is None or any(point.index == index for point in points):
             self.chosen = index

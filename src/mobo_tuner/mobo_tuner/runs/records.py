@@ -182,6 +182,10 @@ class StateRecord:
     error_msg: str = ""
 
 
+PAUSED_DURING = "paused during"
+"""Begin of the tuner's message while an operator decides on the evaluation in flight."""
+
+
 class StopReason(StrEnum):
     """Why a run ended: the constants STOP_REASON_* of the messages."""
 

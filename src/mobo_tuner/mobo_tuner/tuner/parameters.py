@@ -127,8 +127,9 @@ TUNER = (
     ParameterSpec(
         "on_failure",
         "skip",
-        "After a failed evaluation: repeat it, learn from it and continue, pause, or end the run.",
-        choices=("retry", "skip", "pause", "abort"),
+        "After a failed evaluation: repeat it, learn from it and continue, ask an operator which of these, "
+        "pause before the next one, or end the run.",
+        choices=("retry", "skip", "ask", "pause", "abort"),
     ),
     ParameterSpec(
         "max_attempts",

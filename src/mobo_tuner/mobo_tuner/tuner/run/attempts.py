@@ -12,6 +12,7 @@ from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_tuner.core import ProblemError
 from mobo_tuner.ros.waiting import first_of
+from mobo_tuner.runs.records import PAUSED_DURING
 from mobo_tuner.tuner.context import TunerContext
 from mobo_tuner.tuner.gate import BoundsError, EvaluationRequest
 from mobo_tuner.tuner.machine_client import Answer, MachineLostError
@@ -101,7 +102,7 @@ def decide(answer: Answer, tries: int, loss: Loss, parameters: TunerParameters) 
     if code in (_CODES.NONE, _CODES.VIOLATION):
         return Decision("accept")
     if code in _FAILED:
-        policy = "retry" if parameters.on_failure == "retry" else "accept"
+        policy = {"retry": "retry", "ask": "pause"}.get(parameters.on_failure, "accept")
     elif code in _LOST:
         policy = parameters.on_fault
     elif code in _FORBIDDEN:
@@ -131,7 +132,7 @@ class Attempts:
     async def evaluate(self, run: Run, setpoint: dict[str, float]) -> Outcome | None:
         """Have the next evaluation of a run made; None if it was interrupted, which leaves no trace.
 
-        An evaluation that was skipped has the error CANCELED.
+        An evaluation that was skipped has the error CANCELED, or that of which an operator was asked.
 
         Raises:
             RunError: If the machine was lost for too long, or refuses the evaluation.
@@ -169,6 +170,9 @@ class Attempts:
             if run.interrupted:
                 return None
             if run.steering.skip.done():
+                if answer.error_code in _FAILED:  # of which an operator was asked: it teaches
+                    run.steering.resume()
+                    return Outcome(answer, attempts)
                 return Outcome(self._canceled("skipped by an operator"), attempts)
 
     def _out_of_bounds(self, run: Run, reason: str, attempts: int) -> Outcome | None:
@@ -319,7 +323,7 @@ class Attempts:
         """Pause before the next attempt, until an operator resumes or steps the run."""
         context, steering = self._context, run.steering
         steering.pause(reason)
-        text = f"paused during evaluation {run.index}: {reason}"
+        text = f"{PAUSED_DURING} evaluation {run.index}: {reason}"
         context.log.warning(text)
         while steering.waits and not (_stopped(run) or steering.stopping):
             context.status.work(msg.TunerStatus.PAUSED, text)

@@ -185,7 +185,7 @@ class RunLoop:
             await self._recording.await_journal(run)
             if run.problem is not problem:  # its reference point was inferred
                 self._publish_all(run)
-            run.steering.forget_skip(record.error_code == EvaluateSetpoint.Result.CANCELED)
+            run.steering.forget_skip(record.failed and run.steering.skip.done())
             if not run.finished:  # computed while the evaluation is reported
                 suggestion = self._suggest(run)
             # Saved after the suggestion, while the machine works: nobody waits for it.

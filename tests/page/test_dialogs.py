@@ -7,7 +7,7 @@ import math
 import pytest
 
 from mobo_tuner.core.problem import Variable
-from mobo_tuner.page.act import travel
+from mobo_tuner.page.dialogs import travel
 
 
 @pytest.mark.parametrize(
