@@ -253,7 +253,8 @@ class CoordinatesPanel:
         else:
             self._viewer.brush.pop(name, None)
         kept = [point.index for point in run.front.points if self._viewer.wants(point)]
-        self._viewer.choose(kept[0] if len(kept) == 1 else None)
+        chosen = self._viewer.chosen if self._viewer.chosen in kept else None
+        self._viewer.choose(kept[0] if len(kept) == 1 else chosen)
 
     def _forget(self) -> None:
         for name in self._viewer.brush:
