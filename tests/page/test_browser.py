@@ -297,7 +297,14 @@ def test_the_models_say_what_drives_what_through_the_chosen_point(page: Page) ->
 
 
 def test_what_is_marked_on_an_axis_selects(page: Page) -> None:
-    page.wait_for_selector(".details canvas")
+    page.wait_for_selector(".details .wide canvas")
+    page.wait_for_function(
+        """() => {
+          const element = document.querySelector(".details .wide");
+          const lines = getElement(element.id.slice(1)).chart?.getOption()?.series?.[0]?.data;
+          return lines && lines.length > 2;
+        }"""
+    )
     rows = page.locator(".point-table tbody tr")
     place = page.evaluate(
         """() => {
