@@ -15,6 +15,7 @@
     python3 mobo.py export RUN   write the evaluations of a run as a table
     python3 mobo.py rebuild BAG  rebuild a run from its bag
     python3 mobo.py replay RUN   compute every suggestion again, and compare
+    python3 mobo.py campaign     optimise a simulation, many at once, in place of a machine
 
 With an active run, or with a tuner that is running permanently: status, watch, pause, continue, step,
 skip, stop, cancel, queue NAME=NUMBER ..., forget INDEX, unforget INDEX, set NAME=VALUE ...,
@@ -38,7 +39,7 @@ if not (3, 11) <= sys.version_info[:2] <= (3, 13) or sys.platform != "linux":
         f"this is Python {sys.version.split()[0]} on {sys.platform}"
     )
 
-from launcher import run, steering, verbs
+from launcher import campaign, run, steering, verbs
 from launcher.command_line import LIVE, STEERING, make_parser
 from launcher.errors import LauncherError
 from launcher.processes import Interrupted
@@ -58,6 +59,7 @@ VERBS = {
     "export": verbs.export,
     "rebuild": verbs.rebuild,
     "replay": verbs.replay,
+    "campaign": campaign.campaign,
 }
 
 

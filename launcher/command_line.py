@@ -19,6 +19,7 @@ from launcher.run_folder import RUN_ID, RUN_ID_RULE
 
 MAX_EVALUATIONS = 100_000
 MAX_SEED = 2**31 - 1
+MAX_WORKERS = 10_000
 MIN_SPEED, MAX_SPEED = 1e-3, 1e6
 RUN_HELP = "run id, or path of a run folder"
 STEERING = {
@@ -239,9 +240,40 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
     rebuild.add_argument("--run-id", metavar="ID", type=_run_id, help="name of the new run folder")
     replay = add("replay", "compute every suggestion of a run or a bag again, and compare")
     replay.add_argument("run", metavar="RUN", help=RUN_HELP + " or of a bag")
+    _add_campaign(add("campaign", "optimise a simulation in place of a machine"), root)
     for verb in (report, rebuild, replay):
         verb.add_argument("--of", metavar="ID", help="name of the run, if a bag holds several")
     return parser
+
+
+def _add_campaign(campaign: argparse.ArgumentParser, root: Path) -> None:
+    source = campaign.add_mutually_exclusive_group()
+    source.add_argument(
+        "--config",
+        metavar="FILE",
+        type=Path,
+        default=root / "config" / "campaign.yaml",
+        help="parameter file with a section 'campaign' (default: config/campaign.yaml, beside mobo.py)",
+    )
+    source.add_argument("--resume", metavar="RUN", help=f"campaign to continue: {RUN_HELP}")
+    campaign.add_argument(
+        "--workers",
+        metavar="N",
+        type=_whole(1, MAX_WORKERS),
+        help="simulations at the same time (default: that of the file)",
+    )
+    campaign.add_argument(
+        "--evaluations",
+        metavar="N",
+        type=_whole(1, MAX_EVALUATIONS),
+        help="budget, including earlier evaluations (default: that of the file)",
+    )
+    campaign.add_argument(
+        "--seed", metavar="S", type=_whole(0, MAX_SEED), help="seed (default: that of the file)"
+    )
+    campaign.add_argument(
+        "--run-id", metavar="ID", type=_run_id, help="name of the run (default: the time)"
+    )
 
 
 def add_runs_dir(verb: argparse.ArgumentParser, root: Path) -> None:

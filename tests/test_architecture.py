@@ -26,11 +26,22 @@ ROOMS = {
     "bridge": ("ros", "machine"),
     "runs": ("core",),
     "tuner": ("core", "ros", "runs"),
-    "offline": ("core", "runs"),
+    "offline": ("core", "runs", "tuner"),
     "client": ("core", "ros", "runs"),
     "displays": ("core", "machine", "client"),
     "page": ("core", "ros", "client", "displays"),
-    "nodes": ("core", "ros", "machine", "bridge", "runs", "tuner", "client", "displays", "page"),
+    "nodes": (
+        "core",
+        "ros",
+        "machine",
+        "bridge",
+        "runs",
+        "tuner",
+        "offline",
+        "client",
+        "displays",
+        "page",
+    ),
 }
 WITHOUT_ROS = ("core", "runs", "offline")
 # Modules of others that are not made for everybody, and the one module that may use each.

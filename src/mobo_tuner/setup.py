@@ -19,8 +19,8 @@ EXTRAS = {
     "page": ["nicegui==3.18.0", "fastapi>=0.115", "starlette>=0.45", "uvicorn>=0.34"],
     # Exactly this version: the server sends a late viewer what it missed by numbers that may change.
     "live": ["foxglove-sdk==0.30.3"],
-    # Exactly this version of gest-api, whose interface still moves.
-    "offline": [*TUNER, "gest-api==0.2"],
+    # Exactly these versions: the interface of generators still moves.
+    "offline": [*TUNER, "gest-api==0.2", "libensemble==1.6.1", "rich>=13.7"],
     "export": [*TUNER, "pyarrow>=16"],
     "report": [*TUNER, "Jinja2>=3.1", "MarkupSafe>=2.1", "matplotlib>=3.6", "rich>=13.7"],
 }

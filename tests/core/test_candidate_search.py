@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.core.candidate_search import CandidateSearch
 from tests.core.toy_runs import TOY, Machine, toy, tune, with_changes
 
 
@@ -168,19 +167,3 @@ def test_asking_what_is_expected_changes_nothing() -> None:
         curious.tell(asked, toy(asked))
     assert tune(plain, 9)[-1] == asked
     assert plain.get_state() == curious.get_state()
-
-
-def test_what_is_believed_of_a_noisy_front_is_no_improvement_of_it() -> None:
-    rng = np.random.default_rng(0)
-    optimizer = Optimizer(Problem.from_dict(TOY), seed=0)
-    for _ in range(14):
-        setpoint = optimizer.ask()
-        readings = {n: (v + 0.3 * rng.normal(), 0.3) for n, v in toy(setpoint).items()}
-        optimizer.tell(setpoint, readings)
-    search = CandidateSearch(optimizer.archive, optimizer.settings, 0)
-    optimizer.archive.update()
-    improvement = search.acquisition_function()
-    assert improvement is not None
-    front = optimizer.dataset.inputs[optimizer.archive.belief.front_rows()]
-    elsewhere = rng.uniform(-1.0, 1.0, (200, 2))
-    assert improvement.log_value(front).max() < improvement.log_value(elsewhere).max() - 2.0

@@ -62,16 +62,3 @@ def test_many_candidates_are_predicted_as_one_by_one(m):
         np.testing.assert_allclose([one[0][0], one[1][0]], [mean[i], stddev[i]], rtol=1e-9)
         np.testing.assert_allclose(one[2].mean[0], gradients.mean[i], rtol=1e-8)
         np.testing.assert_allclose(one[2].stddev[0], gradients.stddev[i], rtol=1e-8)
-
-
-def test_without_noise_it_is_certain_of_its_means():
-    posterior = _posterior(8, 0.1, 0.5)
-    means, _ = posterior.predict(posterior.x)
-    told = Posterior(posterior.kernel, posterior.shape, 4.0, posterior.x, means, np.full(8, 4e-6))
-    new = np.linspace(-1.2, 1.2, 13)[:, None]
-    exact = posterior.without_noise()
-    np.testing.assert_allclose(exact.predict(new)[0], posterior.predict(new)[0])
-    np.testing.assert_allclose(exact.predict(new)[0], told.predict(new)[0], atol=1e-3)
-    np.testing.assert_allclose(exact.predict(new)[1], told.predict(new)[1], rtol=1e-9)
-    assert exact.predict(posterior.x)[1].max() < 3e-3
-    assert (exact.predict(new)[1] < posterior.predict(new)[1]).all()

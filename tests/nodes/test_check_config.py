@@ -29,6 +29,7 @@ SHIPPED = {
     "safe.yaml": "awa_sim",
     "foreign.yaml": "machine_bridge",
     "my_machine.yaml": "",
+    "campaign.yaml": "",
 }
 MODULES = {"awa_sim": "awa_sim_node.describe", "machine_bridge": "mobo_tuner.bridge.describe"}
 MACHINES = {section: describe_by(module) for section, module in MODULES.items()}

@@ -96,6 +96,13 @@ if name == "report":
 if behaviour == "crash":
     print("one", "two", "the magnet quenched", sep="\\n", file=sys.stderr)
     sys.exit(3)
+if name == "campaign":
+    with open(os.path.join(sys.argv[sys.argv.index(module) + 1], "journal.jsonl"), "w") as file:
+        file.write("{}\\n")
+    note("ready")
+    if behaviour == "wait":
+        time.sleep(60)
+    sys.exit(0)
 if behaviour == "family":
     child = [sys.executable, "-c", "import time; time.sleep(60)"]
     note(f"started {subprocess.Popen(child, start_new_session=True).pid}")

@@ -132,6 +132,7 @@ WITHOUT_KEY = {
     "nicegui": "pip install nicegui==3.18.0",
     "foxglove": "pip install foxglove-sdk==0.30.3",
     "gest_api": "pip install gest-api==0.2",
+    "libensemble": "libensemble==1.6.1",
 }
 """How each is installed, in README.md of the package."""
 WITH_OTHERS = {  # rosbags, Jinja2 and NiceGUI require them
@@ -277,7 +278,13 @@ def test_the_oldest_versions_allowed_are_those_that_are_tested(
         for name, bound in required:
             if name in ("mobo_tuner", "pytest", "torch"):  # ours, a tool, unused
                 continue
-            if name in ("foxglove-sdk", "gest-api", "nicegui", "rosbags"):  # one version alone
+            if name in (
+                "foxglove-sdk",
+                "gest-api",
+                "libensemble",
+                "nicegui",
+                "rosbags",
+            ):  # one version alone
                 continue
             assert bound.startswith(">="), f"setup.py of {package} has no lower bound of {name}"
             if name in tested:

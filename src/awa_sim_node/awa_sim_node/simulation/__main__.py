@@ -1,8 +1,10 @@
-"""The simulation as a command: ``python -m awa_sim_node.simulation beam | table``."""
+"""The simulation as a command: ``python -m awa_sim_node.simulation beam | evaluate | table``."""
 
 from __future__ import annotations
 
 import argparse
+import json
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import MISSING, asdict, fields
@@ -37,13 +39,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
         default=[HALF_WAY, SCREEN],
         help="positions of the printed moments [m from the cathode]",
     )
+    commands.add_parser(
+        "evaluate",
+        help="track one beam for a campaign: settings as a JSON object on standard input, the moments "
+        "on the screen as one on standard output, null where there is no beam",
+    )
     table = commands.add_parser("table", help="compute or complete the surrogate's training data")
     table.add_argument("file", type=Path, help="CSV file")
     table.add_argument("--rows", type=int, default=ROWS, help="number of rows in the table")
     table.add_argument("--workers", type=int, default=2, help="number of processes")
     options = vars(parser.parse_args(arguments))
     try:
-        if options.pop("command") == "table":
+        command = options.pop("command")
+        if command == "evaluate":
+            _evaluate(sys.stdin.read())
+        elif command == "table":
             if options["rows"] < 1:
                 raise ValueError(f"rows = {options['rows']} must be 1 or more")
             make_table(options["file"], range(options["rows"]), options["workers"])
@@ -56,6 +66,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _show_beam(planes: list[float], seed: int, settings: Settings) -> None:
     for plane, moments in zip(planes, Injector(settings).track(planes, seed=seed), strict=True):
         print(f"{plane:g} m: " + ", ".join(f"{k} {v:.5g}" for k, v in asdict(moments).items()))
+
+
+def _evaluate(text: str) -> None:
+    """Print the moments of a beam whose settings are a JSON object.
+
+    Raises:
+        ValueError: If it is not one, or a setting is unknown, missing or not allowed.
+    """
+    try:
+        settings = Settings(**json.loads(text))
+    except TypeError as error:
+        raise ValueError(f"the settings are not complete: {error}") from None
+    [moments] = Injector(settings).track([SCREEN])
+    values = asdict(moments)
+    print(json.dumps({n: v if math.isfinite(v) else None for n, v in values.items()}))
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from functools import cached_property, partial, reduce
+from functools import partial, reduce
 from operator import mul
 
 import numpy as np
@@ -126,7 +126,7 @@ class CandidateSearch:
         single = ACQUISITION_FUNCTIONS.find(self._settings.acquisition).single_objective
         # The boxes of the archive are only built when the acquisition function needs them, too.
         front = partial(BoxDecomposition, reference, values) if single else self._archive.front
-        knowledge = Knowledge(tuple(self._objectives), values, reference, 0.0, front)
+        knowledge = Knowledge(tuple(models.objectives), values, reference, 0.0, front)
         improvement: AcquisitionFunction = ExpectedHypervolumeImprovement.of(knowledge)
         for limit in models.constraints:
             improvement = improvement * ProbabilityOfFeasibility(*limit)
@@ -153,16 +153,6 @@ class CandidateSearch:
                 domain = self._problem.domain
                 return beside if domain.is_box else domain.nearest(beside[None])[0]
         return None
-
-    @cached_property
-    def _objectives(self) -> list[GaussianProcess]:
-        """Models of the objectives for the improvement on what is believed, after the update.
-
-        Where readings are noisy, a point of the front may be better than believed. Measuring it again
-        does not make it so: only what is uncertain beside what is believed can be an improvement.
-        """
-        noisy = not self._archive.is_certain and self._models.is_noisy(self._data)
-        return [m.without_noise() if noisy and m.n else m for m in self._models.objectives]
 
     @property
     def _seconds_left(self) -> float | None:
@@ -287,7 +277,7 @@ class CandidateSearch:
         """
         settings, belief = self._settings, self._archive.belief
         chosen = ACQUISITION_FUNCTIONS.find(settings.acquisition)
-        models = tuple(m for m, k in zip(self._objectives, known, strict=True) if k)
+        models = tuple(m for m, k in zip(self._models.objectives, known, strict=True) if k)
         values = belief.objectives[belief.feasible][:, known]
         reference = self._problem.reference_point[known]
         if nearest:

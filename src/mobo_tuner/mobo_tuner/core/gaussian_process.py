@@ -15,7 +15,7 @@ from mobo_tuner.core.kernels import Kernel, Timed, as_inputs
 from mobo_tuner.core.linear_algebra import FloatArray, single_blas_thread
 from mobo_tuner.core.output_scaling import OutputScaling, is_constant
 from mobo_tuner.core.posterior import Posterior
-from mobo_tuner.core.training import NoiseEvidence, drift_evidence, noise_evidence, train
+from mobo_tuner.core.training import drift_evidence, noise_evidence, train
 
 __all__ = ["GaussianProcess", "GaussianProcessSettings", "LeaveOneOut", "Prediction"]
 
@@ -294,7 +294,7 @@ class GaussianProcess:
             )
         return np.exp(drawn) if model.scaling.log else drawn
 
-    def noise_evidence(self) -> NoiseEvidence:
+    def noise_evidence(self) -> float:
         """Return the log evidence that the readings are noisy, see `training.noise_evidence`."""
         model, posterior, y, stddev = self._fitted
         known = self._known_noise(model.scaling, y, stddev)
@@ -323,18 +323,6 @@ class GaussianProcess:
                 known,
                 np.concatenate([shape, [0.0], model.parameters[-2:]]),
             )
-
-    def without_noise(self) -> GaussianProcess:
-        """Return a model of the same mean that takes its means at the observations for certain.
-
-        It is the model of what a measurement elsewhere adds: what is uncertain at an observation stays
-        so whether or not another point is better. O(n^3).
-        """
-        other = self.copy()
-        state = self._fitted
-        with single_blas_thread():
-            other._state = state._replace(posterior=state.posterior.without_noise())
-        return other
 
     def untrained(self) -> GaussianProcess:
         """Return a model with the same settings and no observations."""

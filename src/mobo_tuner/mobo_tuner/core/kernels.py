@@ -354,51 +354,6 @@ class RBFFull(Kernel):
         )
 
 
-class Rough(Kernel):
-    """Another kernel with the profile of a Matern function of smoothness 3/2, which has kinks.
-
-        g(r^2) = (1 + sqrt(3) r) exp(-sqrt(3) r)
-
-    Args:
-        smooth: Kernel whose parameters and scaled inputs it shares.
-    """
-
-    def __init__(self, smooth: Kernel) -> None:
-        super().__init__(smooth.d)
-        self._smooth = smooth
-
-    @property
-    def size(self) -> int:
-        """Number of parameters of the other kernel."""
-        return self._smooth.size
-
-    def profile(self, squared_distance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return `g` as above and `w = 3 exp(-sqrt(3) r)`."""
-        root = np.sqrt(3.0 * squared_distance)
-        decay = np.exp(-root)
-        return (1.0 + root) * decay, 3.0 * decay
-
-    def factor(self, parameters: FloatArray) -> FloatArray:
-        """Return the other kernel's factor."""
-        return self._smooth.factor(parameters)
-
-    def pull_back(self, parameters: FloatArray, precision_gradient: FloatArray) -> FloatArray:
-        """Return the other kernel's gradient."""
-        return self._smooth.pull_back(parameters, precision_gradient)
-
-    def default_parameters(self) -> FloatArray:
-        """Return the other kernel's default."""
-        return self._smooth.default_parameters()
-
-    def bounds(self) -> FloatArray:
-        """Return the other kernel's bounds."""
-        return self._smooth.bounds()
-
-    def prior(self) -> ShapePrior:
-        """Return the other kernel's prior."""
-        return self._smooth.prior()
-
-
 class Timed(Kernel):
     """Another kernel with time as one more input, the last one, which nobody sets.
 

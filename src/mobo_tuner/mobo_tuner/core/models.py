@@ -22,7 +22,6 @@ from mobo_tuner.core.problem import LARGEST, Array, Problem, ProblemError
 from mobo_tuner.core.resolution import readings_differ
 from mobo_tuner.core.settings import OptimizerSettings
 from mobo_tuner.core.suspects import find_suspects, is_doubtful
-from mobo_tuner.core.training import NoiseEvidence
 from mobo_tuner.core.validity import ValidityModel
 
 _MOST_ROWS = 500  # evaluations that a model learns from
@@ -32,8 +31,7 @@ _SECONDS_OF_ALL = 0.5  # time budget of a suggestion from which on models learn 
 _TRAINING_SHARE = 0.4  # of the time budget
 _NEWS = 1e-3  # of the readings' spread
 _NEWS_OF_NOISE = 0.4  # of the noise: about that of six readings' average
-_NOISY = NoiseEvidence(11.0, 8.0)  # from which on the machine is taken for noisy
-_NO_NOISE = NoiseEvidence(0.0, 0.0)
+_NOISY = 11.0  # log evidence from which on the machine is taken for noisy
 _FEW = 60  # evaluations up to which every training weighs it
 _DRIFTS = 10.0  # log evidence from which on the machine is taken to drift
 _TIME_UNIT = 100  # evaluations in a unit of time, if none is given
@@ -100,7 +98,7 @@ class Models:
         self._outdated = False  # whether some of these were withdrawn or taken back
         self._suspects: dict[str, NDArray[np.intp]] = {}  # evaluations, by output, if there are any
         self._noise = settings.noise
-        self._noise_evidence = _NO_NOISE  # of all outputs together, at the last training
+        self._noise_evidence = 0.0  # of all outputs together, at the last training
 
     def _untrained(self) -> dict[str, GaussianProcess]:
         """Return the process of every output, without observations."""
@@ -233,8 +231,7 @@ class Models:
     @property
     def _learns_noise(self) -> bool:
         """Whether the noise is learned and the evidence says that there is some."""
-        clear = any(e > least for e, least in zip(self._noise_evidence, _NOISY, strict=True))
-        return isinstance(self._noise, str) and clear
+        return isinstance(self._noise, str) and self._noise_evidence > _NOISY
 
     def extended(self, data: Dataset) -> Models:
         """Return models that know all of `data`, with the hyperparameters of the last training.
@@ -467,13 +464,13 @@ class Models:
 
     def _weigh_noise(self, deadline: float) -> None:
         """Compute the evidence of noise; it stays as it was if time is up, by `time.monotonic`."""
-        total = np.zeros(len(_NO_NOISE))
+        evidence = 0.0
         for process in self._processes.values():
             if time.monotonic() > deadline:
                 return
             if process.n:
-                total += np.maximum(process.noise_evidence(), 0.0)
-        self._noise_evidence = NoiseEvidence(*total.tolist())
+                evidence += max(process.noise_evidence(), 0.0)
+        self._noise_evidence = evidence
 
     def _kept(self, data: Dataset, rows: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the evaluations to learn from, at most so many: all, or those that matter most.
@@ -547,7 +544,7 @@ class Models:
             "held": self._held,
             "judged": self._judged,
             "outdated": self._outdated,
-            "noise_evidence": list(self._noise_evidence),
+            "noise_evidence": self._noise_evidence,
             "drift_evidence": self._drift_evidence,
             "timed": self._timed,
             "suspects": {name: rows.tolist() for name, rows in self._suspects.items()},
@@ -564,7 +561,7 @@ class Models:
         self._trained, self._trained_rows = int(state["trained"]), int(state["trained_rows"])
         self._held, self._judged = int(state["held"]), int(state["judged"])
         self._outdated = bool(state["outdated"])
-        self._noise_evidence = NoiseEvidence(*map(float, state["noise_evidence"]))
+        self._noise_evidence = float(state["noise_evidence"])
         self._drift_evidence = float(state.get("drift_evidence", 0.0))
         self._timed = bool(state.get("timed", False))
         self._suspects = {

@@ -14,9 +14,6 @@ from mobo_tuner.core.linear_algebra import FloatArray, cholesky, inverse_triangl
 RELATIVE_JITTER = 1e-10
 """Fraction of the signal variance added to the diagonal of every covariance before factorisation."""
 
-RELATIVE_NUGGET = 1e-6
-"""Fraction of the signal variance that stands for no noise where observations may be repeated."""
-
 _LEAST_VARIANCE = 1e-12
 _BLOCK = 128
 
@@ -170,18 +167,6 @@ class Posterior(TriangularPosterior):
         self.scaled = np.vstack([self.scaled, scaled])
         self.inverse = inverse
         self.weights = self._solve(values)
-
-    def without_noise(self) -> Posterior:
-        """Return the posterior of a function whose values at the observations are its means there; O(n^3).
-
-        Its mean is the same everywhere: exact observations of `K (K + noise)^-1 z` have the weights
-        `(K + noise)^-1 z`. What is left of its variance is what lies between the observations.
-        """
-        least = np.full(len(self.z), RELATIVE_NUGGET * self.variance)
-        noise = np.minimum(self.noise, least)
-        other = Posterior(self.kernel, self.shape, self.variance, self.x, self.z, noise)
-        other.weights = self.weights
-        return other
 
     def joint(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the means `(m,)` at x `(m, d)` and a root `(m, m)` of their covariance matrix."""

@@ -28,6 +28,7 @@ from mobo_tuner.errors import FileError, ParameterError, UserError
 from mobo_tuner.files import load_yaml
 from mobo_tuner.machine.description import MachineDescription
 from mobo_tuner.nodes.parameters import CONSOLE, LIVE_SERVER, PAGE, RECORDER
+from mobo_tuner.offline.parameters import CAMPAIGN
 from mobo_tuner.parameter_file import check_section, node_sections
 from mobo_tuner.parameter_spec import ParameterSpec
 from mobo_tuner.tuner.parameters import check_tuner
@@ -38,6 +39,7 @@ NODES: Mapping[str, tuple[ParameterSpec, ...]] = {
     "recorder": RECORDER,
     "console": CONSOLE,
     "page": PAGE,
+    "campaign": CAMPAIGN,
     "live_server": LIVE_SERVER,
 }
 

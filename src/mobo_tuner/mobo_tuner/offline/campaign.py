@@ -1,0 +1,334 @@
+"""A campaign: a simulation is optimised by many of its processes at once, in the loop of libEnsemble.
+
+`python -m mobo_tuner.offline.campaign FOLDER --config FILE` makes a campaign in a new run folder, with a
+journal as every run has one. libEnsemble hands the points to threads of this process, each of which waits
+for one simulation at a time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from libensemble import Ensemble
+from libensemble.alloc_funcs.start_only_persistent import only_persistent_gens
+from libensemble.specs import AllocSpecs, ExitCriteria, GenSpecs, LibeSpecs, SimSpecs
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.errors import UserError
+from mobo_tuner.files import load_yaml
+from mobo_tuner.offline.generator import ID, MoboGenerator
+from mobo_tuner.offline.parameters import CAMPAIGN
+from mobo_tuner.offline.simulation import Outcome, Simulation
+from mobo_tuner.parameter_file import check_section, node_sections
+from mobo_tuner.runs.history import INVALID_MEASUREMENT, History
+from mobo_tuner.runs.journal import read_journal
+from mobo_tuner.runs.optimizer_settings import make_optimizer
+from mobo_tuner.runs.records import (
+    ChangeRecord,
+    EndRecord,
+    EvaluationRecord,
+    Record,
+    Source,
+    StartRecord,
+    StopReason,
+)
+from mobo_tuner.runs.replay import restore
+from mobo_tuner.runs.run_log import RunLog
+from mobo_tuner.runs.saved_state import SavedState
+from mobo_tuner.tuner.parameters import check_tuner
+
+SECONDS, ERROR = "_seconds", "_error"  # fields of libEnsemble's history beside those of the problem
+_MOST_ERROR = 300  # characters
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """How a point came about: its source, and the wall time of the suggestion [s]."""
+
+    source: Source
+    seconds: float
+
+
+class Campaign(MoboGenerator):
+    """A generator whose every result is in the journal before the next point is suggested.
+
+    Args:
+        optimizer: Optimiser, which may know earlier evaluations.
+        log: Journal of the run.
+        budget: Number of evaluations at the end, for the progress that is shown.
+    """
+
+    def __init__(self, optimizer: Optimizer, log: RunLog, budget: int) -> None:
+        super().__init__(optimizer.given_problem)
+        self.optimizer = optimizer
+        self._log = log
+        self._asked: dict[int, _Asked] = {}
+        self._lock = threading.Lock()  # held while a result is learned and recorded
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            disable=not sys.stdout.isatty(),
+        )
+        self._task = self._progress.add_task("", total=budget, completed=len(optimizer.dataset))
+        self._failed = sum(e.failed for e in optimizer.dataset.evaluations)
+
+    def __enter__(self) -> Campaign:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def suggest(self, num_points: int | None = None) -> list[dict[str, Any]]:
+        """Return points to simulate, see `MoboGenerator.suggest`."""
+        points: list[dict[str, Any]] = []
+        for _ in range(num_points or 1):
+            started = time.perf_counter()
+            points += super().suggest(1)
+            seconds = time.perf_counter() - started
+            self._asked[points[-1][ID]] = _Asked(self.optimizer.last_source, seconds)
+        return points
+
+    def ingest(self, results: Sequence[Mapping[str, Any]]) -> None:
+        """Learn simulated points and write each into the journal."""
+        for result in results:
+            with self._lock:
+                super().ingest([result])
+                self._log.append(self._record(result))
+                self._log.save(self.optimizer)
+            self._failed += self.optimizer.dataset.evaluations[-1].failed
+            words = f"hypervolume {self.optimizer.hypervolume:.5g}, {self._failed} failed"
+            self._progress.update(self._task, advance=1, description=words)
+
+    def cancel(self) -> None:
+        """End the journal; no result is learned any more."""
+        self._lock.acquire()
+        self._progress.stop()
+        self._log.append(EndRecord(time.time(), StopReason.CANCELED))
+
+    def _record(self, result: Mapping[str, Any]) -> EvaluationRecord:
+        """Return the record of the evaluation that was told last."""
+        optimizer, asked = self.optimizer, self._asked.pop(int(result[ID]))
+        evaluation = optimizer.dataset.evaluations[-1]
+        error = str(result[ERROR])
+        front = optimizer.pareto_front(probability=False)
+        seconds = float(result[SECONDS])
+        return EvaluationRecord(
+            index=evaluation.index,
+            source=asked.source,
+            attempts=1,
+            stamp=time.time(),
+            setpoint=evaluation.setpoint,
+            readbacks={},
+            diagnostics={n: (v, evaluation.stddevs[n]) for n, v in evaluation.values.items()},
+            valid=evaluation.valid,
+            feasible=evaluation.feasible,
+            non_dominated=any(point["index"] == evaluation.index for point in front),
+            hypervolume=optimizer.hypervolume,
+            hypervolume_measured=optimizer.hypervolume_measured,
+            error_code=INVALID_MEASUREMENT if error or evaluation.failed else 0,
+            error_msg=error or ("no output was a number" if evaluation.failed else ""),
+            suggest_seconds=asked.seconds,
+            machine_seconds=seconds,
+            total_seconds=asked.seconds + seconds,
+        )
+
+
+class Begun(NamedTuple):
+    """A campaign that has begun.
+
+    Attributes:
+        optimizer: Optimiser, which may know earlier evaluations.
+        log: Journal of the run.
+        settings: Budget, and the parameters of the campaign.
+    """
+
+    optimizer: Optimizer
+    log: RunLog
+    settings: Mapping[str, Any]
+
+
+def start(content: Mapping[Any, Any], folder: Path, given: Mapping[str, Any]) -> Begun:
+    """Begin a new campaign.
+
+    Args:
+        content: Content of a parameter file.
+        folder: Folder of the run.
+        given: Values in place of the file's: `workers`, `evaluations`, `seed`.
+
+    Raises:
+        UserError: If something is wrong.
+        OSError: If the journal cannot be written.
+    """
+    sections = node_sections(content)
+    campaign = check_section("campaign", sections.get("campaign", {}), CAMPAIGN)
+    tuner = check_tuner(sections.get("tuner", {}) | {n: given[n] for n in _OF_TUNER & {*given}})
+    if "workers" in given:
+        campaign["workers"] = given["workers"]
+    problem = Problem.from_dict(content)
+    settings = {**tuner, "budget": tuner["evaluations"], "campaign": campaign}
+    optimizer = make_optimizer(problem, settings)
+    Simulation(str(campaign["command"]), 1.0, folder)  # checks the command
+    record = StartRecord(folder.name, time.time(), problem, settings)
+    return Begun(optimizer, RunLog(folder, record), settings)
+
+
+def resume(earlier: Path, folder: Path, given: Mapping[str, Any]) -> Begun:
+    """Begin a campaign that continues an earlier one, with whose records its journal begins.
+
+    Raises:
+        UserError: If the earlier run cannot be read, was no campaign, or has its budget already.
+        OSError: If the journal cannot be written.
+    """
+    history = History.from_records(read_journal(earlier))
+    if "campaign" not in history.settings:
+        raise UserError(
+            f"the run '{history.run_id}' was no campaign; `mobo.py resume` continues it"
+        )
+    optimizer = restore(history, SavedState.read(earlier), retrain=False)
+    for setpoint in optimizer.pending:  # they were never finished
+        optimizer.cancel(setpoint)
+    made = len(history.evaluations)
+    budget = given.get("evaluations", history.budget)
+    if budget <= made:
+        raise UserError(
+            f"evaluations is {budget}; the run '{history.run_id}' has {made} already, more are allowed"
+        )
+    settings = {**history.settings}
+    if "workers" in given:
+        settings["campaign"] = {**settings["campaign"], "workers": given["workers"]}
+    now = time.time()
+    since = {"run_id": history.run_id, "evaluations": made}
+    record = StartRecord(folder.name, now, history.problem, settings, resumed_from=since)
+    records: list[Record] = list(history.records)
+    if budget != history.budget:
+        records.append(ChangeRecord(now, made, history.last_problem, budget))
+    return Begun(optimizer, RunLog(folder, record, records), {**settings, "budget": budget})
+
+
+_OF_TUNER = {"evaluations", "seed"}
+
+
+def run(begun: Begun, folder: Path) -> None:
+    """Simulate until the budget is used up.
+
+    Args:
+        begun: What is known, and where it is recorded.
+        folder: Folder of the run.
+    """
+    optimizer, log, settings = begun
+    campaign, budget = settings["campaign"], settings["budget"]
+    simulation = Simulation(campaign["command"], campaign["timeout"], folder / "simulations")
+    names = optimizer.problem.variable_names
+    with Campaign(optimizer, log, budget) as generator:
+        outputs = [(name, float) for name in generator.vocs.output_names]
+        inputs = [*generator.vocs.variable_names, *generator.vocs.constant_names]
+
+        def simulate(rows: Any, persis_info: Any, _specs: Any, info: Any) -> tuple[Any, Any]:
+            """Simulate one point, as a worker of libEnsemble."""
+            answers = np.zeros(len(rows), dtype=sim_specs.outputs)
+            for row, answer in zip(rows, answers, strict=True):
+                number = int(info["H_rows"][0])
+                outcome = simulation.run(number, {name: float(row[name]) for name in names})
+                _fill(answer, outcome, generator.vocs.output_names)
+            return answers, persis_info
+
+        sim_specs = SimSpecs(
+            sim_f=simulate,
+            inputs=inputs,
+            outputs=[*outputs, (SECONDS, float), (ERROR, f"U{_MOST_ERROR}")],
+        )
+        ensemble = Ensemble(
+            libE_specs=LibeSpecs(
+                gen_on_manager=True,
+                comms="threads",
+                nworkers=campaign["workers"],
+                disable_log_files=True,
+                save_H_and_persis_on_abort=False,
+                final_gen_send=True,
+            ),
+            gen_specs=GenSpecs(
+                generator=generator,
+                initial_batch_size=min(campaign["workers"], budget - len(optimizer.dataset)),
+                persis_in=[*inputs, *(n for n, _ in outputs), SECONDS, ERROR],
+                vocs=generator.vocs,
+            ),
+            sim_specs=sim_specs,
+            alloc_specs=AllocSpecs(alloc_f=only_persistent_gens, user={"async_return": True}),
+            exit_criteria=ExitCriteria(sim_max=budget - len(optimizer.dataset)),
+        )
+        _end_at_signals(simulation, generator)
+        try:
+            ensemble.run()
+        finally:
+            simulation.stop()
+        log.append(EndRecord(time.time(), StopReason.BUDGET))
+        log.close()
+
+
+def _end_at_signals(simulation: Simulation, generator: Campaign) -> None:
+    """End the process at a signal: libEnsemble would wait for its threads, which wait for simulations."""
+
+    def end(number: int, _frame: object) -> None:
+        for each in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(each, signal.SIG_IGN)
+        simulation.stop()
+        try:
+            generator.cancel()
+        finally:
+            print("the campaign was canceled", file=sys.stderr, flush=True)
+            os._exit(128 + number)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, end)
+
+
+def _fill(answer: Any, outcome: Outcome, names: Sequence[str]) -> None:
+    """Write an outcome into a row of libEnsemble's history."""
+    for name in names:
+        answer[name] = outcome.outputs.get(name, np.nan)
+    answer[SECONDS], answer[ERROR] = outcome.seconds, outcome.error[:_MOST_ERROR]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Make one campaign; return the exit status."""
+    parser = argparse.ArgumentParser(prog="mobo_tuner.offline.campaign", description="A campaign.")
+    parser.add_argument("folder", type=Path, help="folder of the new run")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--config", type=Path, help="parameter file with a section 'campaign'")
+    source.add_argument("--resume", type=Path, help="folder of the run to continue")
+    for name in ("workers", "evaluations", "seed"):
+        parser.add_argument(f"--{name}", type=int, help="in place of the file's")
+    options = parser.parse_args(arguments)
+    given = {
+        name: value
+        for name in ("workers", "evaluations", "seed")
+        if (value := getattr(options, name)) is not None
+    }
+    try:
+        if options.resume:
+            begun = resume(options.resume, options.folder, given)
+        else:
+            begun = start(load_yaml(options.config), options.folder, given)
+        run(begun, options.folder)
+    except (UserError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

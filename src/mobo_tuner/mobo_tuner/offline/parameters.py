@@ -1,0 +1,21 @@
+"""The parameters of a campaign, a section of a parameter file."""
+
+from __future__ import annotations
+
+from mobo_tuner.parameter_spec import ParameterSpec
+
+CAMPAIGN = (
+    ParameterSpec(
+        "command",
+        "",
+        "Command of the simulation, which reads a point as a JSON object on standard input and prints its "
+        "outputs as one.",
+    ),
+    ParameterSpec(
+        "timeout", 3600.0, "Longest time of one simulation [s].", minimum=0.1, maximum=31_536_000.0
+    ),
+    ParameterSpec(
+        "workers", 2, "Number of simulations at the same time.", minimum=1, maximum=10_000
+    ),
+)
+"""Parameters of the section `campaign` of a parameter file."""

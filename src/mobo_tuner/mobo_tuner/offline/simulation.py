@@ -1,0 +1,158 @@
+"""A simulation as a command: one process for each point, killed when it takes too long."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+from mobo_tuner.errors import ParameterError
+
+_MOST_OUTPUT = 1 << 20  # bytes of the standard output that are read
+
+
+class Outcome(NamedTuple):
+    """What came of one simulation.
+
+    Attributes:
+        outputs: Numbers by name, NaN where there is none; empty after an error.
+        seconds: Wall time [s].
+        error: One sentence; empty if it succeeded.
+    """
+
+    outputs: Mapping[str, float]
+    seconds: float
+    error: str
+
+
+@dataclass
+class Simulation:
+    """A command that reads a point as one JSON object and prints its outputs as another.
+
+    The point is on standard input; the outputs are the last line of standard output, with null for a
+    number that there is none of. Each process runs in a folder of its own, where its files stay.
+
+    Attributes:
+        command: Program and arguments; a `python` is that of this environment.
+        timeout: Longest time of one simulation [s]; it is killed then, with all its processes.
+        folder: Folder in which the folders of the simulations are made.
+    """
+
+    command: str
+    timeout: float
+    folder: Path
+    _running: set[int] = field(default_factory=set)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _stopped: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the command.
+
+        Raises:
+            ParameterError: If it is empty, or there is no such program.
+        """
+        try:
+            words = shlex.split(self.command)
+        except ValueError as error:
+            raise ParameterError(f"campaign.command is {self.command!r:.80}: {error}") from None
+        if not words or shutil.which(words[0], path=_search_path()) is None:
+            raise ParameterError(
+                f"campaign.command is {self.command!r:.80}; it must begin with a program that exists"
+            )
+
+    def run(self, number: int, point: Mapping[str, float]) -> Outcome:
+        """Simulate a point; whatever goes wrong is said in the outcome.
+
+        Args:
+            number: Number of the simulation, the name of its folder.
+            point: Every variable, in its unit.
+        """
+        started = time.monotonic()
+        folder = self.folder / f"{number:06d}"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            text = self._output(folder, json.dumps(dict(point)))
+            outputs, error = _read(text), ""
+        except (OSError, ValueError) as trouble:
+            outputs, error = {}, str(trouble)
+        return Outcome(outputs, time.monotonic() - started, error)
+
+    def stop(self) -> None:
+        """Kill all that run, and start none any more."""
+        with self._lock:
+            self._stopped = True
+            for group in self._running:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(group, signal.SIGKILL)
+
+    def _output(self, folder: Path, text: str) -> str:
+        """Return what the command prints.
+
+        Raises:
+            OSError, ValueError: If it cannot be started, fails or takes too long.
+        """
+        with (folder / "output").open("wb") as output, (folder / "errors").open("wb") as errors:
+            with self._lock:
+                if self._stopped:
+                    raise ValueError("the campaign was stopped")
+                process = subprocess.Popen(
+                    shlex.split(self.command),
+                    stdin=subprocess.PIPE,
+                    stdout=output,
+                    stderr=errors,
+                    cwd=folder,
+                    env={**os.environ, "PATH": _search_path()},
+                    start_new_session=True,
+                )
+                self._running.add(process.pid)
+            try:
+                process.communicate(text.encode(), timeout=self.timeout)
+            except subprocess.TimeoutExpired:
+                raise ValueError(f"the simulation took more than {self.timeout:g} s") from None
+            finally:
+                with self._lock:
+                    self._running.discard(process.pid)
+                with contextlib.suppress(ProcessLookupError):  # its children, too
+                    os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+        if process.returncode != 0:
+            words = (folder / "errors").read_text(errors="replace").strip().splitlines()
+            reason = words[-1][:300] if words else f"ended with status {process.returncode}"
+            raise ValueError(f"the simulation failed: {reason}")
+        return (folder / "output").read_bytes()[-_MOST_OUTPUT:].decode(errors="replace")
+
+
+def _search_path() -> str:
+    """Return the PATH on which `python` is that of this environment."""
+    return os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)])
+
+
+def _read(text: str) -> dict[str, float]:
+    """Return the numbers in the last line of an output.
+
+    Raises:
+        ValueError: If it is not a JSON object of numbers.
+    """
+    lines = text.strip().splitlines()
+    try:
+        content = json.loads(lines[-1]) if lines else None
+    except (ValueError, RecursionError):
+        content = None
+    if not isinstance(content, dict):
+        raise ValueError("the simulation printed no JSON object in its last line")
+    for name, value in content.items():
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
+            raise ValueError(f"the simulation printed {value!r:.40} for '{name}', not a number")
+    return {name: math.nan if v is None else float(v) for name, v in content.items()}

@@ -1,0 +1,169 @@
+"""Campaigns over real processes: their journal, their end, and what a kill leaves."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from mobo_tuner.errors import UserError
+from mobo_tuner.files import load_yaml
+from mobo_tuner.offline.campaign import resume, start
+from mobo_tuner.runs.recorded_run import RecordedRun
+
+TIMEOUT = 60.0
+PROGRAM = """
+import json, math, sys, time
+x = json.load(sys.stdin)
+if x["x1"] > 1.6:
+    sys.exit("x1 is too large")
+time.sleep(PAUSE)
+print(json.dumps({"f1": math.hypot(x["x1"] - 1, x["x2"] - 1), "f2": math.hypot(x["x1"] + 1, x["x2"] + 1)}))
+"""
+
+
+class Bench:
+    """Campaigns of the toy problem in a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.started: list[subprocess.Popen[str]] = []
+
+    def config(self, pause: float = 0.0, **campaign: Any) -> Path:
+        (self.folder / "program.py").write_text(PROGRAM.replace("PAUSE", str(pause)))
+        command = f"python {self.folder / 'program.py'}"
+        bounds = {"min": -2.0, "max": 2.0}
+        content = {
+            "/**": {
+                "variables": {"x1": bounds, "x2": bounds},
+                "objectives": {"f1": {"reference": 4.3}, "f2": {"reference": 4.3}},
+            },
+            "tuner": {"evaluations": 10},
+            "campaign": {"command": command, "timeout": 20.0, "workers": 3, **campaign},
+        }
+        path = self.folder / "campaign.yaml"
+        sections = {name: {"ros__parameters": section} for name, section in content.items()}
+        path.write_text(yaml.safe_dump(sections))
+        return path
+
+    def start(self, name: str, *arguments: object) -> subprocess.Popen[str]:
+        words = [
+            sys.executable,
+            "-m",
+            "mobo_tuner.offline.campaign",
+            self.folder / name,
+            *arguments,
+        ]
+        process = subprocess.Popen([str(w) for w in words], stderr=subprocess.PIPE, text=True)
+        self.started.append(process)
+        return process
+
+    def run(self, name: str, *arguments: object) -> tuple[int, str]:
+        process = self.start(name, *arguments)
+        _, errors = process.communicate(timeout=TIMEOUT)
+        return process.returncode, errors
+
+    def journal(self, name: str) -> list[dict[str, Any]]:
+        path = self.folder / name / "journal.jsonl"
+        text = path.read_text() if path.exists() else ""
+        return [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
+
+    def evaluations(self, name: str) -> list[dict[str, Any]]:
+        return [record for record in self.journal(name) if record["type"] == "evaluation"]
+
+    def wait_for(self, name: str, evaluations: int) -> None:
+        deadline = time.monotonic() + TIMEOUT
+        while len(self.evaluations(name)) < evaluations:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    bench = Bench(tmp_path)
+    yield bench
+    for process in bench.started:
+        process.kill()
+        process.communicate(timeout=TIMEOUT)
+
+
+def test_a_campaign_is_a_run_with_a_journal(bench: Bench) -> None:
+    assert bench.run("one", "--config", bench.config(), "--seed", 3) == (0, "")
+    run = RecordedRun.load(bench.folder / "one")
+    assert len(run.evaluations) == 10
+    assert run.stop_reason == "budget"
+    assert run.settings["seed"] == 3
+    assert run.optimizer.hypervolume == run.evaluations[-1].hypervolume > 8.0
+    assert [e.index for e in run.evaluations] == list(range(10))
+    for evaluation in run.evaluations:
+        is_lost = evaluation.setpoint["x1"] > 1.6
+        assert evaluation.failed == is_lost
+        assert ("x1 is too large" in evaluation.error_msg) == is_lost
+
+
+def test_what_was_finished_is_not_lost_by_a_kill(bench: Bench) -> None:
+    first = bench.start("one", "--config", bench.config(pause=0.2), "--evaluations", 1000)
+    bench.wait_for("one", 4)
+    first.send_signal(signal.SIGKILL)
+    first.wait(TIMEOUT)
+    finished = bench.evaluations("one")
+    budget = len(finished) + 3
+    resumed = bench.run("two", "--resume", bench.folder / "one", "--evaluations", budget)
+    assert resumed == (0, "")
+    assert bench.evaluations("two")[: len(finished)] == finished
+    assert len(bench.evaluations("two")) == budget
+    assert RecordedRun.load(bench.folder / "two").stop_reason == "budget"
+    status, error = bench.run("three", "--resume", bench.folder / "two", "--evaluations", budget)
+    assert (status, len(error.splitlines())) == (1, 1)
+    assert f"evaluations is {budget}" in error
+
+
+def test_a_signal_ends_it_and_its_simulations(bench: Bench) -> None:
+    process = bench.start("one", "--config", bench.config(pause=0.2), "--evaluations", 1000)
+    bench.wait_for("one", 1)
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 128 + signal.SIGTERM
+    assert bench.journal("one")[-1]["stop_reason"] == "canceled"
+    pattern = str(bench.folder / "program.py")
+    deadline = time.monotonic() + TIMEOUT
+    while subprocess.run(["pgrep", "-f", pattern], capture_output=True, check=False).stdout:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize(
+    ("campaign", "words"),
+    [
+        ({"command": ""}, r"campaign\.command"),
+        ({"workers": 0}, r"campaign\.workers is 0"),
+        ({"time_out": 3.0}, "time_out"),
+    ],
+)
+def test_a_section_that_is_wrong_is_refused_before_anything_is_simulated(
+    bench: Bench, campaign: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(UserError, match=words):
+        start(load_yaml(bench.config(**campaign)), bench.folder / "one", {})
+    assert not (bench.folder / "one").exists()
+
+
+def test_a_run_that_was_no_campaign_is_not_resumed_as_one(bench: Bench) -> None:
+    path = bench.config()
+    optimizer, log, _ = start(load_yaml(path), bench.folder / "one", {})
+    log.close()
+    journal = bench.folder / "one" / "journal.jsonl"
+    record = json.loads(journal.read_text())
+    del record["settings"]["campaign"]
+    journal.write_text(json.dumps(record) + "\n")
+    with pytest.raises(UserError, match="no campaign"):
+        resume(bench.folder / "one", bench.folder / "two", {"evaluations": 3})
+    assert optimizer.pending == []
