@@ -106,6 +106,26 @@ def test_failures_constraints_and_constants_are_told() -> None:
     assert any("g was never measured" in hint for hint in partly.hints())
 
 
+def sampled(scatter: float) -> Optimizer:
+    """An optimiser that was told 40 random evaluations, f with a random part of some standard deviation."""
+    rng = np.random.default_rng(0)
+    objectives = {"f": {"reference": 99.0}, "g": {"reference": 99.0}}
+    optimizer = Optimizer(problem(objectives), seed=1)
+    for x, y in rng.uniform(-2.0, 2.0, (40, 2)):
+        values = two(x, y)
+        optimizer.tell({"x": x, "y": y}, values | {"f": values["f"] + rng.normal(0.0, scatter)})
+    optimizer.ask()
+    return optimizer
+
+
+def test_what_the_models_cannot_explain_is_told() -> None:
+    assert sampled(0.0).hints() == []
+    assert sampled(0.2).hints() == []
+    [hint] = sampled(20.0).hints()
+    assert "the model predicts f badly" in hint
+    assert "shots" in hint
+
+
 def test_a_reference_left_out_is_inferred_once_and_stays() -> None:
     left_out = problem({"f": {}, "g": {"direction": "maximize"}, "h": {"reference": 7.0}})
     optimizer = Optimizer(left_out, seed=3)

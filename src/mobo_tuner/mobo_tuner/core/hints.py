@@ -1,14 +1,26 @@
-"""What keeps a front empty, in sentences for the operator, each with what to do."""
+"""What keeps a run from progress, in sentences for the operator, each with what to do."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
 from mobo_tuner.core.belief import Belief
 from mobo_tuner.core.dataset import Dataset
+from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.problem import Array, Problem
+
+FEWEST = 20
+"""Least number of readings by which a model is judged."""
+FEWEST_PER_VARIABLE = 10
+"""The same for each variable."""
+UNEXPLAINED = 0.9
+"""Share of the readings' spread by which predictions are off where the model predicts badly.
+
+Standard deviations do not show it: a trained model of what it cannot explain has wide ones.
+"""
 
 
 def hints(data: Dataset, belief: Belief) -> list[str]:
@@ -23,6 +35,33 @@ def hints(data: Dataset, belief: Belief) -> list[str]:
         named = [f"{name} was never measured: check its name and its source" for name in missing]
         return named + _alike(data)
     return _constraints(data, belief) + _references(problem, belief) + _alike(data)
+
+
+def doubts(models: Mapping[str, GaussianProcess], problem: Problem) -> list[str]:
+    """Return which outputs the models cannot explain, be it for noise or for what is not a variable.
+
+    A prediction is that from all other readings, with the hyperparameters of the last training.
+
+    Args:
+        models: Trained models by their outputs.
+        problem: Problem of which they are.
+    """
+    sentences = []
+    fewest = max(FEWEST, FEWEST_PER_VARIABLE * len(problem.variables))
+    for name, model in models.items():
+        if model.n < fewest or model.is_constant:
+            continue
+        left_out = model.leave_one_out()
+        readings = left_out.mean + left_out.residual
+        error = float(np.median(np.abs(left_out.residual)))
+        spread = float(np.median(np.abs(readings - np.median(readings))))
+        if error > UNEXPLAINED * spread > 0.0:
+            sentences.append(
+                f"the model predicts {name} badly: it is off by {error:.3g}, and the readings differ by "
+                f"{spread:.3g}; queue one set-point twice: if its readings differ as much, the noise is larger "
+                "than the gain, so take more shots; else something else changes it, such as drift"
+            )
+    return sentences
 
 
 def nearest_to_reference(objectives: Array, reference: Array) -> int:

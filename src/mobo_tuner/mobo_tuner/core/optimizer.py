@@ -20,7 +20,7 @@ from mobo_tuner.core.archive import Archive
 from mobo_tuner.core.candidate_search import CandidateSearch
 from mobo_tuner.core.dataset import Dataset, Evaluation, Measured
 from mobo_tuner.core.focus import around, choose_on_front
-from mobo_tuner.core.hints import hints
+from mobo_tuner.core.hints import doubts, hints
 from mobo_tuner.core.linear_algebra import single_blas_thread
 from mobo_tuner.core.models import Models, PriorMean
 from mobo_tuner.core.optimizer_state import (
@@ -38,6 +38,9 @@ from mobo_tuner.core.safety import SafeSearch, is_guarded, was_safe
 from mobo_tuner.core.settings import make_settings
 
 Source = Literal["initial", "model"]
+
+JUDGE_PERIOD = 10
+"""Number of evaluations between two judgements of the models."""
 
 
 class Optimizer:
@@ -88,6 +91,8 @@ class Optimizer:
         self.settings = make_settings(preset, overrides)
         self.settings.check_problem(problem)
         self.archive = Archive(problem, self.settings, seed, prior_means)
+        self._doubts: list[str] = []  # of the models
+        self._judged_at = -JUDGE_PERIOD  # number of evaluations
         self._prior_means = prior_means
         self._last_source: Source = "initial"
         self._told: set[str] = set()  # outputs that were told, or are known to be misspelt
@@ -230,12 +235,17 @@ class Optimizer:
         return self.archive.extended_models
 
     def hints(self) -> list[str]:
-        """Return what keeps the front empty, one sentence each; none once there is a front.
+        """Return what keeps the front empty, and what the models cannot explain, one sentence each.
 
         For example that no point is better than the reference in one objective, and by how much, that
-        a constraint was never met, or that all readings of a diagnostic are alike.
+        a constraint was never met, that all readings of a diagnostic are alike, or that a model predicts
+        badly. The models are judged after every `JUDGE_PERIOD` evaluations.
         """
-        return hints(self.dataset, self.archive.belief)
+        archive = self.archive
+        if archive.models.ready and len(archive.dataset) >= self._judged_at + JUDGE_PERIOD:
+            self._judged_at = len(archive.dataset)
+            self._doubts = doubts(archive.models.by_output, archive.problem)
+        return hints(archive.dataset, archive.belief) + self._doubts
 
     @overload
     def ask(self) -> dict[str, float]: ...
