@@ -75,9 +75,10 @@ def test_results_come_as_numpy_scalars_in_any_order_and_from_elsewhere() -> None
     first, second = made.suggest(2)
     made.ingest([{n: np.float64(v) for n, v in evaluated(second).items()}])
     assert made.optimizer.pending == [{"x": first["x"], "y": first["y"]}]
-    made.ingest([evaluated({"x": 0.5, "y": 0.25})])
+    for nobodys in ({}, {"_id": None}, {"_id": math.nan}, {"_id": -1}):  # as tables have them
+        made.ingest([evaluated({"x": 0.5, "y": 0.25}) | nobodys])
     made.ingest([{**first, "f": np.nan, "g": np.nan}])
-    assert [e.failed for e in made.optimizer.dataset.evaluations] == [False, False, True]
+    assert [e.failed for e in made.optimizer.dataset.evaluations] == [False] * 5 + [True]
     assert made.optimizer.pending == []
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -140,5 +141,5 @@ class MoboGenerator(Generator):  # type: ignore[misc]  # gest-api has no types
             for name in self.vocs.output_names
             if result.get(name) is not None
         }
-        identifier = result.get(ID)
-        return _Result(None if identifier is None else int(identifier), setpoint, outputs)
+        identifier = as_float(ID, math.nan if result.get(ID) is None else result[ID])
+        return _Result(int(identifier) if identifier >= 0.0 else None, setpoint, outputs)
