@@ -57,6 +57,7 @@ def test_every_shipped_file_is_good_and_chooses_its_machine() -> None:
         assert configuration.problem.objectives
         assert configuration.section == section
         assert (configuration.machine is None) == (not section)
+        assert bool(configuration.simulation) == (name == "campaign.yaml")
 
 
 @pytest.mark.parametrize(

@@ -36,6 +36,8 @@ class Configuration:
         section: Section that chooses the machine; empty if none does.
         machine: Description of the machine; None if it is known only when the run begins.
         program: Command that starts the machine; empty if there is none.
+        simulation: Command of the simulation that a campaign optimises in place of a machine; empty if
+            there is none.
     """
 
     path: str
@@ -44,6 +46,7 @@ class Configuration:
     section: str
     machine: MachineDescription | None
     program: str
+    simulation: str = ""
 
 
 def explanation(configuration: Configuration) -> list[str]:
@@ -76,6 +79,10 @@ def _machine(configuration: Configuration) -> list[str]:
         return [
             f"{machine.name}, served by the node '{configuration.section}', which the run starts",
             f"{len(machine.variables)} variables, {len(machine.diagnostics)} diagnostics",
+        ]
+    if configuration.simulation and not configuration.program:
+        return [
+            f"none; 'mobo.py campaign' optimises the simulation '{configuration.simulation}' instead"
         ]
     asked = "it is asked what it can do when the run begins"
     if configuration.program:

@@ -86,7 +86,8 @@ def check(
             machine.diagnostics,
             {name: v.unit for name, v in machine.variables.items()},
         )
-    return Configuration(str(path), problem, tuner, section, machine, program)
+    simulation = str(sections.get("campaign", {}).get("command", ""))
+    return Configuration(str(path), problem, tuner, section, machine, program, simulation)
 
 
 def describe_by(module: str) -> Describe:
