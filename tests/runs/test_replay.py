@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mobo_tuner.core import ProblemError
+from mobo_tuner.core import Optimizer, Problem, ProblemError
 from mobo_tuner.runs import replay
 from mobo_tuner.runs.history import READBACK, History
 from mobo_tuner.runs.journal import FILE_NAME, JournalError, read_journal
@@ -19,7 +19,7 @@ from mobo_tuner.runs.recorded_run import RecordedRun
 from mobo_tuner.runs.records import ForgetRecord, QueuedRecord
 from mobo_tuner.runs.saved_state import FILE_NAME as STATE_NAME
 from mobo_tuner.runs.saved_state import SavedState
-from robustness.offline_run import OfflineRun, toy, toy_optimizer
+from robustness.offline_run import TOY, OfflineRun, toy, toy_optimizer
 
 LENGTH = 14
 SEED = 7  # with failures, an operator's set-points and two changes
@@ -87,6 +87,23 @@ def test_a_run_that_learns_from_readbacks_is_restored_with_them(tmp_path: Path) 
         assert restored.ask() == run.ask()
         first = restored.dataset.evaluations[0]
         assert first.readbacks == {n: v + 0.01 for n, v in first.setpoint.items()}
+
+
+def test_a_run_of_a_drifting_machine_is_restored_with_its_times(tmp_path: Path) -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY), seed=SEED, initial_evaluations=4, drift="on")
+    run = OfflineRun(tmp_path / "run", optimizer, toy, SEED)
+    for _ in range(9):
+        run.step()
+    run.log.close()
+    history = history_of(tmp_path / "run")
+    saved = SavedState.read(tmp_path / "run")
+    assert saved is not None
+    assert saved.revive(history) is not None
+    for restored in (replay.restore(history), replay.restore(history, saved)):
+        assert restored.models.drifts
+        assert restored.ask() == run.ask()
+        stamps = [record.stamp for record in history.evaluations]
+        assert [e.time for e in restored.dataset.evaluations] == stamps
 
 
 def test_a_run_in_which_something_was_withdrawn_is_restored_and_replayed(tmp_path: Path) -> None:
