@@ -73,12 +73,13 @@ def test_moves_are_kept_after_the_end_too(tmp_path: Path) -> None:
     log.append(MoveRecord(2.0, 0, {"x": 0.5}))
     log.append(StateRecord(3.0, 0, {"x": 0.4}, "it was stopped"))
     history = History.from_records(read_journal(tmp_path / "run"))
-    assert history.before == {"x": 0.1}
     moves: list[MoveRecord | StateRecord] = [
         MoveRecord(2.0, 0, {"x": 0.5}),
         StateRecord(3.0, 0, {"x": 0.4}, "it was stopped"),
     ]
+    assert history.before == StateRecord(0.5, 0, {"x": 0.1})
     assert [*history.moves[0]] == moves
+    assert [*history.places] == [history.before, *moves]
     again = RunLog(tmp_path / "run", START, moves, ended=True)
     again.append(MoveRecord(4.0, 0, {"x": 0.1}, "restore"))
     kept = History.from_records(read_journal(tmp_path / "run")).moves

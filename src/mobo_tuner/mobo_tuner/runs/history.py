@@ -53,7 +53,7 @@ class History:
         records: All others but the end, in their order: steps and queued set-points.
         waiting: Set-points of operators that were not evaluated yet, in their order.
         end: Its last record; None if the run has not ended or was killed.
-        before: Readbacks of the machine when the run began; None if unknown.
+        before: Where the machine was when the run began; None if unknown.
         moves: Moves that are not part of an evaluation, also those after the end, in their order.
     """
 
@@ -61,7 +61,7 @@ class History:
     records: tuple[Step | QueuedRecord, ...]
     waiting: tuple[Values, ...]
     end: EndRecord | None
-    before: Values | None = None
+    before: StateRecord | None = None
     moves: tuple[Move, ...] = ()
 
     @classmethod
@@ -133,6 +133,12 @@ class History:
     def withdrawals(self) -> list[ForgetRecord]:
         """Withdrawals and their ends in their order."""
         return [record for record in self.records if isinstance(record, ForgetRecord)]
+
+    @property
+    def places(self) -> tuple[MoveRecord | StateRecord, ...]:
+        """Where the machine was and was sent outside evaluations, in the order of the journal."""
+        moves = [record for move in self.moves for record in move if record is not None]
+        return (*moves,) if self.before is None else (self.before, *moves)
 
     @property
     def last_problem(self) -> Problem:
@@ -216,7 +222,7 @@ class _Builder:
         self._records: list[Step | QueuedRecord] = []
         self._waiting: list[Values] = []
         self._end: EndRecord | None = None
-        self._before: Values | None = None
+        self._before: StateRecord | None = None
         self._moves: list[Move] = []
         self._count = 0
 
@@ -281,7 +287,7 @@ class _Builder:
         if self._moves and self._moves[-1].ended is None:
             self._moves[-1] = self._moves[-1]._replace(ended=record)
         elif not self._moves and self._before is None and record.readbacks:
-            self._before = record.readbacks
+            self._before = record
 
     def _check_index(self, index: int) -> None:
         if index != self._count:

@@ -186,15 +186,14 @@ def _with_problems(history: History) -> list[tuple[Problem, EvaluationRecord]]:
 def reopen_run(earlier: Earlier, interrupt: Future, run_dir: Path | None) -> Run:
     """Return an earlier run as it was at its end; it is not active, and only moves are added to its journal."""
     history, optimizer = earlier
-    moves = [record for move in history.moves for record in move if record is not None]
     return Run(
         run_id=history.run_id,
         budget=len(history.evaluations),
         optimizer=optimizer,
         interrupt=interrupt,
         changeable=False,
-        log=RunLog(run_dir, history.start, [*history.records, *moves], ended=True),
-        state_before=None if history.before is None else dict(history.before),
+        log=RunLog(run_dir, history.start, [*history.records, *history.places], ended=True),
+        state_before=None if history.before is None else dict(history.before.readbacks),
         model_input=history.model_input,
         records=_with_problems(history),
     )
