@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.campaign import PlannedRun, Results, Size
-from experiments.paper.experiment import Experiment, Row, draw_front, mean_and_spread
+from experiments.paper.experiment import Experiment, Row, draw_front, mean_and_spread, runs
 from experiments.paper.injector import LIMIT, PICTURED, scaled_limit, tune
 
 CASES = {
@@ -64,7 +64,7 @@ def compare(results: Results) -> list[Row]:
                     f"{title}, {case}: suggestions that violate dE < {LIMIT} MeV",
                     claim if preset == "paper" else "–",
                     f"{100 * late.mean():.1f} %, in the second half {100 * half.mean():.1f} % "
-                    f"({len(records)} run{'s' * (len(records) > 1)})",
+                    f"({runs(len(records))})",
                 )
             )
         for name, (front, claim) in areas.items():

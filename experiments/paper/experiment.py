@@ -50,11 +50,16 @@ class Experiment:
     draw: Callable[[Results], Figure]
 
 
+def runs(number: int) -> str:
+    """Return a number of runs as text."""
+    return f"{number} run" + "s" * (number > 1)
+
+
 def mean_and_spread(values: FloatArray, digits: int = 2) -> str:
     """Return mean, standard deviation and number of values `(r,)` as text."""
     if len(values) == 1:
         return f"{values[0]:.{digits}f} (1 run)"
-    return f"{values.mean():.{digits}f} ± {values.std():.{digits}f} ({len(values)} runs)"
+    return f"{values.mean():.{digits}f} ± {values.std():.{digits}f} ({runs(len(values))})"
 
 
 def draw_curves(axes: Axes, curves: FloatArray, label: str, color: str, **line: Any) -> None:
@@ -69,10 +74,9 @@ def draw_curves(axes: Axes, curves: FloatArray, label: str, color: str, **line: 
     """
     if not len(curves):
         return
-    runs = f"{len(curves)} run" + "s" * (len(curves) > 1)
     n = np.arange(1, curves.shape[1] + 1)
     mean, spread = curves.mean(axis=0), curves.std(axis=0)
-    axes.plot(n, mean, color=color, label=f"{label} ({runs})", **line)
+    axes.plot(n, mean, color=color, label=f"{label} ({runs(len(curves))})", **line)
     axes.fill_between(n, mean - spread, mean + spread, color=color, alpha=0.2, linewidth=0.0)
 
 

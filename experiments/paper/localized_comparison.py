@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.campaign import PlannedRun, Results, Size
-from experiments.paper.experiment import Experiment, Row, draw_curves
+from experiments.paper.experiment import Experiment, Row, draw_curves, runs
 from experiments.paper.injector import PICTURED, tune, tune_perfectly
 from mobo_tuner.core.pareto import FloatArray
 
@@ -73,7 +73,7 @@ def compare(results: Results) -> list[Row]:
                 f"{title}: mean step without, with the factor; steps of K1 above a quarter of its range",
                 claims[0],
                 f"{steps[:, 0].mean():.2f}, {steps[:, 1].mean():.2f}: × {ratio:.2f}; "
-                f"{100 * large[0]:.0f} %, {100 * large[1]:.0f} % ({len(both)} runs)",
+                f"{100 * large[0]:.0f} %, {100 * large[1]:.0f} % ({runs(len(both))})",
             )
         )
         rows.append(

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.campaign import PlannedRun, Results, Size
-from experiments.paper.experiment import Experiment, Row, draw_curves
+from experiments.paper.experiment import Experiment, Row, draw_curves, runs
 from experiments.paper.toy import INITIAL, PICTURED, evaluated, grid, input_axes, run_toy
 from mobo_tuner.core.constraints import ProbabilityOfFeasibility
 from mobo_tuner.core.gaussian_process import GaussianProcess
@@ -54,7 +54,7 @@ def compare(results: Results) -> list[Row]:
                 f"{title}: share of evaluations that violate the limit",
                 "falls as the optimisation progresses (figure only)" if label == "paper" else "–",
                 f"{100 * first:.0f} % of the random ones, {100 * suggested:.1f} % of the suggested ones, "
-                f"{100 * last:.1f} % of the second half ({len(feasible)} runs)",
+                f"{100 * last:.1f} % of the second half ({runs(len(feasible))})",
             )
         )
     return rows

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.campaign import PlannedRun, Results, Size
-from experiments.paper.experiment import Experiment, Row
+from experiments.paper.experiment import Experiment, Row, runs
 from experiments.paper.toy import (
     PICTURED,
     evaluated,
@@ -51,7 +51,7 @@ def compare(results: Results) -> list[Row]:
             Row(
                 "where it measures: distance of a suggestion from the best set-points, median",
                 "“located near the analytical Pareto optimal region”",
-                f"{distances.mean():.3f} of a range of 4 ({len(distances)} runs)",
+                f"{distances.mean():.3f} of a range of 4 ({runs(len(distances))})",
             )
         )
     for n in (15, 20):

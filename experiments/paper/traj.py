@@ -7,7 +7,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from experiments.campaign import PlannedRun, Results, Size
-from experiments.paper.experiment import Experiment, Row
+from experiments.paper.experiment import Experiment, Row, runs
 from experiments.paper.toy import INITIAL, ORDER, PICTURED, input_axes, run_toy
 
 # 4 I in x: steps in x are twice as long as in normalised space.
@@ -50,7 +50,7 @@ def compare(results: Results) -> list[Row]:
             Row(
                 f"{title}: mean step without, with the factor",
                 claim,
-                f"{means[0]:.2f}, {means[1]:.2f}: × {means[1] / means[0]:.2f} ({len(steps[1])} runs)",
+                f"{means[0]:.2f}, {means[1]:.2f}: × {means[1] / means[0]:.2f} ({runs(len(steps[1]))})",
             )
         )
         rows.append(
