@@ -447,6 +447,9 @@ def test_at_the_end_a_run_gets_more_evaluations_or_is_left(page: Page) -> None:
     answered(page, "continues run asked up to 7 evaluations")
     until(page, lambda: read(page, ".count") == "7 / 7", "the evaluations")
     until(page, lambda: "after 7 evaluations" in read(page, ".question"), "the end")
+    press(page, "Restore…")
+    press(page, "Move the machine")
+    answered(page, "is where it was before run")
     press(page, "Leave it")
     until(page, lambda: not page.locator(".question").is_visible(), "the question to go")
 

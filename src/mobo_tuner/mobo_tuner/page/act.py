@@ -46,6 +46,14 @@ class ActionsPanel:
         )
         self._go_dialog = GoDialog(viewer, commands)
         self._more_dialog = MoreDialog(viewer, commands)
+        self._restore_dialog = Dialog(
+            viewer,
+            "Restore the machine?",
+            "The machine goes back to where it was before the run.",
+            "Move the machine",
+            lambda: commands.restore(viewer.board.status.run_id),
+            grave=True,
+        )
         self._queue_dialog = QueueDialog(viewer, commands)
         self._change_dialog = ChangeDialog(viewer, commands)
 
@@ -82,6 +90,10 @@ class ActionsPanel:
     def open_more(self) -> None:
         """Ask for more evaluations."""
         self._more_dialog.open()
+
+    def open_restore(self) -> None:
+        """Ask whether to go back to where the machine was before the run."""
+        self._restore_dialog.open()
 
     def open_go(self) -> None:
         """Ask whether to go to the chosen point."""
@@ -140,6 +152,7 @@ class Question:
             self._of_end = [
                 self._button("More evaluations…", panel.open_more),
                 self._button("Go to the chosen point…", panel.open_go),
+                self._button("Restore…", panel.open_restore),
                 self._button("Leave it", self._leave),
             ]
 

@@ -90,6 +90,15 @@ class Commands:
 
         return await self._ask(more)
 
+    async def restore(self, run_id: str) -> Answer:
+        """Go to where the machine was before a run, and wait until it has arrived."""
+
+        def restore() -> str:
+            self._client.go(before=True, run_id=run_id)
+            return f"the machine is where it was before run {run_id}"
+
+        return await self._move(restore)
+
     async def go(self, index: int, run_id: str, hold: int) -> Answer:
         """Go to a point of the front, and wait until the machine has arrived."""
 
@@ -98,10 +107,13 @@ class Commands:
             held = f" and held it for {arrival.evaluations} evaluations" if hold else ""
             return f"the machine is at the point of evaluation {index}{held}"
 
+        return await self._move(go)
+
+    async def _move(self, request: Callable[[], str]) -> Answer:
         if self._moves.locked():
             return Answer(False, "the machine is already on its way; stop it first")
         async with self._moves:
-            return await _made(go)
+            return await _made(request)
 
     async def _ask(self, request: Callable[[], str]) -> Answer:
         if self._free.locked():
