@@ -428,6 +428,8 @@ def test_a_failure_asks_every_viewer_and_one_answers(
     other.goto(stage.address)
     until(other, lambda: "no beam" in read(other, ".question"), "the question, for the other")
     other.get_by_role("button", name="Try again", exact=True).click()
+    # One request is made at a time: the next one waits for the answer to this one.
+    until(other, lambda: read(other, ".answer"), "the answer for the other")
     page.bring_to_front()
     until(page, lambda: "attempt 1: no beam" in question.inner_text(), "the next question")
     press(page, "Skip it")
