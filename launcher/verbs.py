@@ -28,7 +28,8 @@ from launcher.run_folder import JOURNAL_FILE, RunFolder, is_bag, table
 from launcher.supervisor import EXIT_LIMIT
 
 TEST_TIMEOUT = 3600.0  # [s]
-_PARALLEL_TESTS = ("-n", "2", "--dist", "loadfile")
+# Three on two cores: tests with real nodes mostly wait.
+_PARALLEL_TESTS = ("-n", "3", "--dist", "loadfile")
 
 
 def check(options: argparse.Namespace) -> None:

@@ -18,6 +18,7 @@ import pytest
 
 from launcher.environment import (
     DEVELOPMENT_STAGES,
+    LIVE_STAGES,
     OFFLINE_STAGES,
     PAGE_STAGES,
     STAGES,
@@ -223,7 +224,7 @@ def test_another_account_s_folder_is_used_as_it_is_or_its_owner_is_named() -> No
 
 def test_the_project_s_own_stages_build_on_each_other_and_have_their_sources() -> None:
     names: set[str | None] = {None}
-    for stage in (*STAGES, *PAGE_STAGES, *OFFLINE_STAGES, *DEVELOPMENT_STAGES):
+    for stage in (*STAGES, *PAGE_STAGES, *LIVE_STAGES, *OFFLINE_STAGES, *DEVELOPMENT_STAGES):
         assert stage.after in names
         names.add(stage.name)
         for source in (*stage.sources, *stage.companions):
@@ -231,7 +232,7 @@ def test_the_project_s_own_stages_build_on_each_other_and_have_their_sources() -
 
 
 def test_requirements_are_pinned_to_one_version() -> None:
-    for part in ("", "-page", "-offline", "-torch", "-dev"):
+    for part in ("", "-page", "-live", "-offline", "-torch", "-dev"):
         name = f"requirements{part}.txt"
         lines = (ROOT / name).read_text().splitlines()
         pins = [line for line in lines if not line.startswith(("#", "-r "))]

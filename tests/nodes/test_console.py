@@ -314,8 +314,8 @@ def test_the_terminal_view(session: Session) -> None:
     assert "evaluation 3, 4 of 4 done" in text
     assert "hypervolume 103   4 on the front   3 feasible   1 failed" in text
     last = text[text.rindex("objective") :]
-    assert re.search(r"eps_x +27 ± 0\.2 +27 +mm mrad +index 3", last)
-    assert re.search(r"yield +0\.53 +0\.53 +index 3", last)
+    assert re.search(r"eps_x +27 ± 0\.2 +27 +mm mrad +3 ", last)
+    assert re.search(r"yield +0\.53 +0\.53 +3 ", last)
     assert "run run1 is finished (budget): 4 evaluations" in last
     assert screen.endswith(b"\n")
     assert b"\x1b[?25h" in screen[screen.rindex(b"\x1b[?25l") :], "the cursor must be shown again"

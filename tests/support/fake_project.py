@@ -16,6 +16,7 @@ from pathlib import Path
 
 from launcher.environment import (
     DEVELOPMENT_STAGES,
+    LIVE_STAGES,
     OFFLINE_STAGES,
     PAGE_STAGES,
     STAGES,
@@ -151,7 +152,7 @@ class FakeProject:
         shutil.copytree(ROOT / "launcher", root / "launcher")
         (root / "config").mkdir()
         (root / "config" / "awa.yaml").write_text("/**: {}\n")
-        stages = (*STAGES, *PAGE_STAGES, *OFFLINE_STAGES, *DEVELOPMENT_STAGES)
+        stages = (*STAGES, *PAGE_STAGES, *LIVE_STAGES, *OFFLINE_STAGES, *DEVELOPMENT_STAGES)
         for source in {source for stage in stages for source in stage.sources}:
             (root / source).mkdir(parents=True) if "/" in source else (root / source).touch()
         player = root / "player.py"

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from mobo_tuner.client import TunerClient, TunerError
 
 HELP = "keys: p pause or continue, s step, k skip, x stop"
+_PATIENCE = 2.0  # [s] for a key that was pressed last
 POLL_PERIOD = 0.2  # [s] between two looks whether the view is closed
 CONFIRM = "y"
 
@@ -79,17 +80,28 @@ def reading_keys(press: Callable[[str], object], terminal: int | None = None) ->
 
     def read() -> None:
         while not closed.is_set():
-            if select.select([descriptor], [], [], POLL_PERIOD)[0]:
-                key = os.read(descriptor, 1)
-                if not key:  # the terminal is gone
-                    return
+            try:
+                key = os.read(descriptor, 1) if _is_readable(descriptor) else None
+            except OSError:
+                key = b""
+            if key == b"":  # the terminal is gone
+                return
+            if key is not None:
                 press(key.decode(errors="replace"))
 
+    reader = threading.Thread(target=read, name="keys", daemon=True)
     try:
         tty.setcbreak(descriptor)
-        threading.Thread(target=read, name="keys", daemon=True).start()
+        reader.start()
         yield True
     finally:
         closed.set()
+        if reader.is_alive():
+            reader.join(_PATIENCE)
         with contextlib.suppress(termios.error):  # the terminal is gone
             termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+
+
+def _is_readable(descriptor: int) -> bool:
+    """Return whether there is something to read within a moment."""
+    return bool(select.select([descriptor], [], [], POLL_PERIOD)[0])
