@@ -47,6 +47,18 @@ def test_every_suggestion_is_near_an_evaluation_before() -> None:
     assert optimizer.last_source == "model"
 
 
+def test_a_batch_is_near_what_was_measured_not_near_what_is_pending() -> None:
+    problem = Problem.from_dict({**TOY, "constraints": {}})
+    optimizer = Optimizer(problem, seed=1, trust_distance=0.05, initial_evaluations=2)
+    for setpoint in ({"x1": 1.5, "x2": -1.5}, {"x1": 1.4, "x2": -1.5}, {"x1": 1.5, "x2": -1.4}):
+        optimizer.tell(setpoint, toy(setpoint))
+    reach = trust_distance(optimizer.dataset.valid, 0.05)
+    batch = np.array([problem.normalize(setpoint) for setpoint in optimizer.ask(6)])
+    distances = np.abs(batch[:, None] - optimizer.dataset.inputs).max(axis=2)
+    assert (distances.min(axis=1) <= reach * (1.0 + 1e-6)).all()
+    assert len(np.unique(batch.round(6), axis=0)) == 6
+
+
 def test_a_safe_run_violates_nothing_that_a_usual_one_does() -> None:
     [case] = [case for case in CASES if case.name == "bnh"]
     soft, safe = run(case, 0, False, 20), run(case, 0, True, 20)

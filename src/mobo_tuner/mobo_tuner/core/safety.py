@@ -27,10 +27,8 @@ from mobo_tuner.core.settings import OptimizerSettings
 
 DISTANCE = 0.05
 """First trust distance, as a share of each variable's range, if only constraints are to be safe."""
-_GROWTH, _SHRINKAGE = (
-    1.1,
-    0.5,
-)  # of the trust distance after an evaluation that was safe, and one that was not
+# Factors of the trust distance after an evaluation that was safe, and one that was not.
+_GROWTH, _SHRINKAGE = 1.1, 0.5
 # Factor of standard deviations, which few evaluations underestimate: `_WIDER` after many, and more by so much times
 # the number of coefficients of a linear function over that of the evaluations.
 _WIDER, _WIDER_AT_FIRST = 2.5, 6.0
@@ -82,13 +80,14 @@ class SafeSearch:
     def __init__(self, archive: Archive, settings: OptimizerSettings, seed: int) -> None:
         self._archive, self._settings, self._seed = archive, settings, seed
         self._problem, self._data = archive.problem, archive.dataset
-        safe = was_safe(self._data)
+        measured = len(self._data) - archive.expected  # no prediction makes a place safe
+        safe = was_safe(self._data)[:measured]
         if not safe.any():
             raise ProblemError(
                 "no evaluation met the constraints that must be safe: the first one must be where the "
                 "machine is known to be safe"
             )
-        self._centers = self._data.inputs[safe]
+        self._centers = self._data.inputs[:measured][safe]
         self._distance = trust_distance(safe, settings.trust_distance or DISTANCE)
         self._rng = np.random.default_rng([seed, 6, len(self._data)])
 
