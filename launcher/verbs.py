@@ -28,8 +28,9 @@ from launcher.run_folder import JOURNAL_FILE, RunFolder, is_bag, table
 from launcher.supervisor import EXIT_LIMIT
 
 TEST_TIMEOUT = 3600.0  # [s]
-# Three on two cores: tests with real nodes mostly wait.
-_PARALLEL_TESTS = ("-n", "3", "--dist", "loadfile")
+# Three processes on two cores: tests with real nodes mostly wait. One that fails on a busy computer gets a second
+# try, and is named at the end.
+_PARALLEL_TESTS = ("-n", "3", "--dist", "loadfile", "--reruns", "1", "-rR")
 
 
 def check(options: argparse.Namespace) -> None:

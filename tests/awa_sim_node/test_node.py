@@ -155,10 +155,11 @@ def test_a_cancel_stops_the_ramp_within_a_fifth_of_a_second(
     start_machine("speed:=1.0", "mode:=ideal", "stream_rate:=100.0")
     readback = Listener(node, Float64, "K1/readback")
     settled = Listener(node, Bool, "K1/settled", LATCHED)
+    spin_until(lambda: readback.data and settled.data, "the topics of the device")
     delays = []
     for index in range(5):
         client.send(goal(MIDDLE | {"K1": 550.0 if index % 2 == 0 else 400.0}, index=index))
-        began = readback.data[-1] if readback.data else MIDDLE["K1"]
+        began = readback.data[-1]
         spin_until(lambda: abs(readback.data[-1] - began) > 2.0, "the ramp to begin")  # noqa: B023
         client.cancel()
         last = readback.data[-1]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import doctest
 import math
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
@@ -27,7 +28,7 @@ from mobo_tuner.client import (
 )
 from mobo_tuner.core.problem import Problem
 from tests.support.paths import CONFIG
-from tests.support.processes import NodeProcess, NodeStarter, wait_until
+from tests.support.processes import TIMEOUT, NodeProcess, NodeStarter, wait_until
 
 Start = Callable[..., NodeProcess]
 ENDLESS = 100_000  # evaluations
@@ -285,7 +286,12 @@ def test_working_points_are_listed_gone_to_and_held(client: TunerClient) -> None
     assert (arrival.run_id, arrival.point.index) == ("old", chosen.index)
     assert arrival.point.setpoint == chosen.setpoint
     assert arrival.readbacks == pytest.approx(chosen.setpoint)
-    assert movements
+    other = max(old.points, key=lambda p: p.objectives["f1"])
+    deadline = time.monotonic() + TIMEOUT
+    while not movements:  # a short way may be over before its feedback has found the client
+        assert time.monotonic() < deadline
+        for point in (other, chosen):
+            client.go(point.index, run_id="old", on_feedback=movements.append)
     assert {m.phase for m in movements} <= {"ramping", "settling"}
     held = client.hold(2, chosen.index, run_id="old", radius=0.05)
     assert (held.run_id, held.evaluations) == ("old", 2)
