@@ -6,6 +6,7 @@ it, the surrogate and the core: after a change of these, the next call computes 
 
 from __future__ import annotations
 
+import argparse
 import ctypes
 import hashlib
 import json
@@ -15,7 +16,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -241,6 +242,36 @@ def require_one_thread() -> None:
     """End the program unless numerical libraries use one thread, which runs and times rely on."""
     if os.environ.get("OMP_NUM_THREADS") != "1":
         sys.exit("OMP_NUM_THREADS must be 1: several threads are slower and change the last digits")
+
+
+def parse_options(
+    parser: argparse.ArgumentParser,
+    arguments: Sequence[str] | None,
+    kind: str,
+    known: Collection[str],
+) -> argparse.Namespace:
+    """Return the options of a command, and have it end in order at SIGTERM.
+
+    Args:
+        parser: Parser of the command's own options.
+        arguments: Command line; by default that of the process.
+        kind: Name of the option that lists what to compute.
+        known: What there is to compute.
+    """
+    parser.add_argument(kind, nargs="*", metavar=kind[:-1].upper(), help=", ".join(known))
+    parser.add_argument("--quick", action="store_true", help="few evaluations; nothing is kept")
+    parser.add_argument("--seeds", type=int, help="number of runs of each method")
+    parser.add_argument("--workers", type=int, default=1, help="number of processes")
+    parser.add_argument(
+        "--draw", action="store_true", help="compute nothing: draw and compare what is there"
+    )
+    options = parser.parse_args(arguments)
+    unknown = set(getattr(options, kind)) - set(known)
+    if unknown:
+        parser.error(f"unknown: {', '.join(unknown)}; there are {', '.join(known)}")
+    require_one_thread()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    return options
 
 
 def rounded(values: Iterable[float], digits: int = 5) -> list[float]:

@@ -118,21 +118,9 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
         default=root / "config" / "awa.yaml",
         help="ROS parameter file (default: config/awa.yaml, beside mobo.py)",
     )
-    run.add_argument(
-        "--evaluations",
-        metavar="N",
-        type=_whole(1, MAX_EVALUATIONS),
-        help="budget of the run (default: that of the file, 60 in config/awa.yaml)",
-    )
-    run.add_argument(
-        "--seed",
-        metavar="S",
-        type=_whole(0, MAX_SEED),
-        help="seed of all random numbers, including the simulated noise (default: that of the file)",
-    )
-    run.add_argument(
-        "--run-id", metavar="ID", type=_run_id, help="name of the run (default: the time)"
-    )
+    _add_budget(run, "budget of the run (default: that of the file, 60 in config/awa.yaml)")
+    _add_seed(run, "seed of all random numbers, including the simulated noise")
+    _add_run_id(run, "the time")
     run.add_argument(
         "--warm-start",
         metavar="SOURCE",
@@ -196,15 +184,8 @@ def make_parser(description: str, root: Path, verbs: Mapping[str, Act]) -> argpa
         type=Path,
         help="file with other bounds, objectives or constraints (default: those of the run's end)",
     )
-    resume.add_argument(
-        "--evaluations",
-        metavar="N",
-        type=_whole(1, MAX_EVALUATIONS),
-        help="budget, including the earlier evaluations (default: that of the run)",
-    )
-    resume.add_argument(
-        "--run-id", metavar="ID", type=_run_id, help="name of the new run (default: RUN-2, ...)"
-    )
+    _add_budget(resume, "budget, including the earlier evaluations (default: that of the run)")
+    _add_run_id(resume, "RUN-2, ...")
     _add_machine(resume, "that of the run")
     _add_surroundings(resume, "that of the run")
 
@@ -262,18 +243,23 @@ def _add_campaign(campaign: argparse.ArgumentParser, root: Path) -> None:
         type=_whole(1, MAX_WORKERS),
         help="simulations at the same time (default: that of the file)",
     )
-    campaign.add_argument(
-        "--evaluations",
-        metavar="N",
-        type=_whole(1, MAX_EVALUATIONS),
-        help="budget, including earlier evaluations (default: that of the file)",
-    )
-    campaign.add_argument(
-        "--seed", metavar="S", type=_whole(0, MAX_SEED), help="seed (default: that of the file)"
-    )
-    campaign.add_argument(
-        "--run-id", metavar="ID", type=_run_id, help="name of the run (default: the time)"
-    )
+    _add_budget(campaign, "budget, including earlier evaluations (default: that of the file)")
+    _add_seed(campaign, "seed")
+    _add_run_id(campaign, "the time")
+
+
+def _add_budget(verb: argparse.ArgumentParser, what: str) -> None:
+    verb.add_argument("--evaluations", metavar="N", type=_whole(1, MAX_EVALUATIONS), help=what)
+
+
+def _add_seed(verb: argparse.ArgumentParser, what: str) -> None:
+    what += " (default: that of the file)"
+    verb.add_argument("--seed", metavar="S", type=_whole(0, MAX_SEED), help=what)
+
+
+def _add_run_id(verb: argparse.ArgumentParser, default: str) -> None:
+    what = f"name of the new run (default: {default})"
+    verb.add_argument("--run-id", metavar="ID", type=_run_id, help=what)
 
 
 def add_runs_dir(verb: argparse.ArgumentParser, root: Path) -> None:

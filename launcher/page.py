@@ -106,6 +106,7 @@ class PageDoor:
                 )
 
 
+# `mobo_tuner.addresses` defines it, too, which this script cannot import: it runs before anything is installed.
 def is_local(host: str) -> bool:
     """Return whether an address is that of this host alone."""
     if host == "localhost":

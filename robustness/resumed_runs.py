@@ -63,7 +63,7 @@ def kill_during(start: Callable[[], OfflineRun], seconds: float) -> None:
             carry_out(start())
         finally:
             os._exit(0)
-    time.sleep(seconds)
+    time.sleep(seconds)  # the kill comes at a random moment, whatever the run does then
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
 

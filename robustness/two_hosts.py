@@ -149,7 +149,7 @@ def carry_out(folder: Path, budget: int, cut: float) -> bool:
         before = evaluations(journal)
         ip("-n", here, "link", "set", "veth0", "down")
         since = time.time() + CLIENT_TIMEOUT + REACTION
-        time.sleep(cut)
+        time.sleep(cut)  # how long the link is down is what is tried
         until = time.time()
         during = evaluations(journal)
         ip("-n", here, "link", "set", "veth0", "up")

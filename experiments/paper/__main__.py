@@ -11,7 +11,6 @@ where it stopped. Pictures are written to docs/images, tables into docs/paper.md
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -21,7 +20,7 @@ from typing import Any
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from experiments.campaign import RESULTS, ROOT, Results, Size, compute, require_one_thread
+from experiments.campaign import RESULTS, ROOT, Results, Size, compute, parse_options
 from experiments.paper import (
     constrain_comparison,
     convergence,
@@ -50,20 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(EXPERIMENTS))
-    parser.add_argument("--quick", action="store_true", help="few evaluations; nothing is kept")
-    parser.add_argument("--seeds", type=int, help="number of runs of each method")
     parser.add_argument("--only", nargs="+", metavar="LABEL", help="methods or cases to compute")
-    parser.add_argument("--workers", type=int, default=1, help="number of processes")
-    parser.add_argument(
-        "--draw", action="store_true", help="compute nothing: draw and compare what is there"
-    )
-    options = parser.parse_args(arguments)
-    unknown = set(options.names) - set(EXPERIMENTS)
-    if unknown:
-        parser.error(f"unknown: {', '.join(unknown)}; there are {', '.join(EXPERIMENTS)}")
-    require_one_thread()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    options = parse_options(parser, arguments, "names", EXPERIMENTS)
     names = options.names or list(EXPERIMENTS)
     if options.quick:
         with tempfile.TemporaryDirectory() as folder:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import re
-import signal
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -29,7 +28,7 @@ from experiments.campaign import (
     Results,
     Size,
     compute,
-    require_one_thread,
+    parse_options,
 )
 from experiments.paper.experiment import STYLE
 from experiments.peers.methods import METHODS, installed
@@ -102,29 +101,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("problems", nargs="*", metavar="PROBLEM", help=", ".join(PROBLEMS))
     parser.add_argument(
         "--methods", nargs="+", choices=list(METHODS), help="methods; by default those installed"
     )
     parser.add_argument(
         "--noise", nargs="+", type=float, choices=NOISES, default=[0.0], help="shares of the range"
     )
-    parser.add_argument("--quick", action="store_true", help="few evaluations; nothing is kept")
-    parser.add_argument("--seeds", type=int, help="number of seeds")
     parser.add_argument("--evaluations", type=int, default=60, help="number of evaluations")
     parser.add_argument(
         "--limit", type=float, default=1200.0, help="CPU time after which a run is stopped [s]"
     )
-    parser.add_argument("--workers", type=int, default=1, help="number of processes")
-    parser.add_argument(
-        "--draw", action="store_true", help="compute nothing: compare what is there"
-    )
-    options = parser.parse_args(arguments)
-    unknown = set(options.problems) - set(PROBLEMS)
-    if unknown:
-        parser.error(f"unknown: {', '.join(unknown)}; there are {', '.join(PROBLEMS)}")
-    require_one_thread()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    options = parse_options(parser, arguments, "problems", PROBLEMS)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) if options.quick else RESULTS / "peers"
         size = Size(options.quick, options.seeds)

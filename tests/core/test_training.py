@@ -186,7 +186,7 @@ def test_a_training_stops_at_its_deadline_with_the_best_so_far() -> None:
 
     def bowl(parameters: np.ndarray) -> tuple[float, np.ndarray]:
         calls.append(float(parameters @ parameters))
-        time.sleep(0.01)
+        time.sleep(0.01)  # an evaluation takes time, which is what runs out
         return calls[-1], 2.0 * parameters * np.array([1.0, 1.3, 0.2])
 
     start = np.array([[3.0, -2.0, 1.0]])

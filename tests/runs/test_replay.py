@@ -74,16 +74,21 @@ def test_a_restored_run_asks_what_it_would_have_asked(
         assert replay.restore(history, saved).ask() == asked[told]
 
 
-def test_a_run_that_learns_from_readbacks_is_restored_with_them(tmp_path: Path) -> None:
-    run = OfflineRun(tmp_path / "run", toy_optimizer(SEED), toy, SEED, model_input=READBACK)
+def carry_out_and_restore(run: OfflineRun, folder: Path) -> tuple[History, list[Optimizer]]:
+    """Make nine evaluations; return the run's history, and it restored without and with its saved state."""
     for _ in range(9):
         run.step()
     run.log.close()
-    history = history_of(tmp_path / "run")
-    saved = SavedState.read(tmp_path / "run")
+    history, saved = history_of(folder), SavedState.read(folder)
     assert saved is not None
     assert saved.revive(history) is not None
-    for restored in (replay.restore(history), replay.restore(history, saved)):
+    return history, [replay.restore(history), replay.restore(history, saved)]
+
+
+def test_a_run_that_learns_from_readbacks_is_restored_with_them(tmp_path: Path) -> None:
+    run = OfflineRun(tmp_path / "run", toy_optimizer(SEED), toy, SEED, model_input=READBACK)
+    _, both = carry_out_and_restore(run, tmp_path / "run")
+    for restored in both:
         assert restored.ask() == run.ask()
         first = restored.dataset.evaluations[0]
         assert first.readbacks == {n: v + 0.01 for n, v in first.setpoint.items()}
@@ -92,14 +97,8 @@ def test_a_run_that_learns_from_readbacks_is_restored_with_them(tmp_path: Path) 
 def test_a_run_of_a_drifting_machine_is_restored_with_its_times(tmp_path: Path) -> None:
     optimizer = Optimizer(Problem.from_dict(TOY), seed=SEED, initial_evaluations=4, drift="on")
     run = OfflineRun(tmp_path / "run", optimizer, toy, SEED)
-    for _ in range(9):
-        run.step()
-    run.log.close()
-    history = history_of(tmp_path / "run")
-    saved = SavedState.read(tmp_path / "run")
-    assert saved is not None
-    assert saved.revive(history) is not None
-    for restored in (replay.restore(history), replay.restore(history, saved)):
+    history, both = carry_out_and_restore(run, tmp_path / "run")
+    for restored in both:
         assert restored.models.drifts
         assert restored.ask() == run.ask()
         stamps = [record.stamp for record in history.evaluations]

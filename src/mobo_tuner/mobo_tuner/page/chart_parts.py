@@ -12,7 +12,7 @@ FONT = "Roboto, sans-serif"
 NUMBER = """(value) => Math.abs(value) >= 1e5
   ? value.toExponential().replace("e+", "e") : value.toLocaleString("en-US", {useGrouping: false})
 """
-ERROR_BAR = """(params, api) => {
+_ERROR_BAR = """(params, api) => {
   const low = api.coord([api.value(0), api.value(3)]);
   const high = api.coord([api.value(0), api.value(4)]);
   return {type: "line", shape: {x1: low[0], y1: low[1], x2: high[0], y2: high[1]},
@@ -59,6 +59,25 @@ LIGHT = Colours(
     last="#9a6a00",
     chosen="#000000",
 )
+
+
+def error_bars(name: str, bars: list[Any], colours: Colours) -> Options:
+    """Return the series of vertical bars.
+
+    Args:
+        name: Name of the series.
+        bars: For each bar x in its first place, and its ends in the fourth and fifth.
+        colours: Colours of the plot.
+    """
+    return {
+        "type": "custom",
+        "name": name,
+        "silent": True,
+        "data": bars,
+        "encode": {"x": 0, "y": [3, 4]},
+        ":renderItem": _ERROR_BAR,
+        "itemStyle": {"color": colours.others},
+    }
 
 
 def options(colours: Colours, **parts: Any) -> Options:

@@ -11,11 +11,11 @@ from typing import Any
 
 from mobo_tuner.displays.settings import labelled
 from mobo_tuner.page.chart_parts import (
-    ERROR_BAR,
     FONT,
     Colours,
     Options,
     axis,
+    error_bars,
     marks,
     options,
     scatter,
@@ -153,15 +153,7 @@ def left_out(output: Mapping[str, Any], colours: Colours) -> Options:
         xAxis=[axis(f"{name}, measured", colours, 28)],
         yAxis=[axis("", colours, 0)],
         series=[
-            {
-                "type": "custom",
-                "name": "two standard deviations",
-                "silent": True,
-                "data": bars,
-                "encode": {"x": 0, "y": [3, 4]},
-                ":renderItem": ERROR_BAR,
-                "itemStyle": {"color": colours.others},
-            },
+            error_bars("two standard deviations", bars, colours),
             {
                 **scatter("predicted", points, "circle", 7, colours.front),
                 "markLine": {**marks([], colours), "data": diagonal},

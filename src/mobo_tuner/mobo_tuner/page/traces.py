@@ -9,10 +9,10 @@ from mobo_tuner.core.problem import Variable
 from mobo_tuner.displays.settings import labelled
 from mobo_tuner.page.board import RunBoard
 from mobo_tuner.page.chart_parts import (
-    ERROR_BAR,
     Colours,
     Options,
     axis,
+    error_bars,
     finite,
     marks,
     options,
@@ -80,15 +80,7 @@ def diagnostic(run: RunBoard, name: str, unit: str, colours: Colours) -> Options
         xAxis=[axis("", colours, 0, min=0, minInterval=1)],
         yAxis=[axis("", colours, 0)],
         series=[
-            {
-                "type": "custom",
-                "name": "standard deviation",
-                "silent": True,
-                "data": bars,
-                "encode": {"x": 0, "y": [3, 4]},
-                ":renderItem": ERROR_BAR,
-                "itemStyle": {"color": colours.others},
-            },
+            error_bars("standard deviation", bars, colours),
             {
                 **scatter(
                     "feasible",
