@@ -48,6 +48,8 @@ def optimizer(**settings: Any) -> Optimizer:
         ((AT, {"f": 1.0}, {"x": None}), "readback x"),
         ((AT, {"f": 1.0}, {"x": "0.5"}), "readback x"),
         ((AT, {"f": 1.0}, {"y": 0.5}), "'y'"),
+        ((AT, {"f": 1.0}, {}, "no"), "failed"),
+        ((AT, {"f": 1.0}, {}, np.array([1.0, 2.0])), "failed"),
     ],
 )
 def test_what_cannot_be_told_is_refused_and_nothing_is_learned(
@@ -145,6 +147,16 @@ def test_sentinels_are_part_of_the_problem_as_a_mapping() -> None:
         lambda o: o.focus(weights=1.0),
         lambda o: o.focus(index="0"),
         lambda o: o.with_problem(PROBLEM),
+        lambda o: o.forget(0, {"f": 1.0}),
+        lambda o: o.unforget(0, {"f"}),
+        lambda _: Optimizer.load(1.5),  # type: ignore[arg-type]
+        lambda o: Optimizer.from_state(o.get_state() | {"version": np.ones(2)}),
+        lambda o: Optimizer(o.problem, np.ones(2)),  # type: ignore[arg-type]
+        lambda o: Optimizer(o.problem, maximizer=np.ones(2)),
+        lambda o: Optimizer(o.problem, maximizer_settings={None: 1}),
+        lambda o: Optimizer(o.problem, mean=1e308),
+        lambda o: Optimizer(o.problem, noise=1e308),
+        lambda o: Optimizer(o.problem, acquisition="ei", weights=(1e300,)),
         lambda _: Optimizer(PROBLEM),  # type: ignore[arg-type]
         lambda o: Optimizer(o.problem, prior_means=[1.0]),  # type: ignore[arg-type]
         lambda o: Optimizer(o.problem, prior_means={"f": 1.0}),  # type: ignore[dict-item]

@@ -193,7 +193,7 @@ def check_fields(settings: Any) -> None:
 
 def unknown(name: str, known: Collection[str], where: str) -> str:
     """Return the error about an unknown parameter, with the most similar known one."""
-    near = difflib.get_close_matches(name, known, n=1)
+    near = difflib.get_close_matches(str(name), known, n=1)
     hint = f"did you mean '{near[0]}'?" if near else f"allowed are {', '.join(known)}"
     return f"'{name}' is unknown in {where}; {hint}"
 

@@ -123,6 +123,8 @@ class Dataset:
             raise ProblemError(f"the outputs must be a mapping of names, not {outputs!r:.60}")
         measured = {name: self._measured(name, value) for name, value in outputs.items()}
         when = self._time(time)
+        if failed is not None and not isinstance(failed, bool | np.bool_):
+            raise ProblemError(f"failed is {failed!r:.60}; True, False and None are allowed")
         for name, result in self.problem.derive({**setpoint, **known}, measured).items():
             measured[name] = (result.value, result.stddev)
         values = {name: mean for name, (mean, _) in measured.items()}
@@ -134,7 +136,7 @@ class Dataset:
                 if name not in self.problem.known_before
             )
         else:
-            inferred = bool(failed)
+            failed = inferred = bool(failed)
         evaluation = self._judged(
             Evaluation(
                 index=len(self.evaluations),
@@ -204,7 +206,7 @@ class Dataset:
             known = f"0 to {count - 1} are allowed" if count else "there is no evaluation yet"
             raise ProblemError(f"index is {index!r}; {known}")
         evaluation = self.evaluations[index]
-        if name is not None and name not in evaluation.values:
+        if name is not None and not (isinstance(name, str) and name in evaluation.values):
             raise ProblemError(
                 f"name is {name!r}; evaluation {index} has {', '.join(evaluation.values) or 'none'}"
             )

@@ -11,6 +11,7 @@ import numpy as np
 
 from mobo_tuner.core.kernels import KERNELS, Kernel, Timed
 from mobo_tuner.core.linear_algebra import FloatArray
+from mobo_tuner.core.values import LARGEST
 from mobo_tuner.errors import ParameterError
 from mobo_tuner.parameter_spec import check_fields, parameter
 
@@ -33,6 +34,8 @@ class GaussianProcessSettings:
         "Prior mean: the mean of the data, the reference point, whichever of the two predicts "
         "left-out evaluations better (`auto`), or a number in the output's unit.",
         choices=("auto", "data", "reference"),
+        minimum=-LARGEST,
+        maximum=LARGEST,
     )
     noise: str | float = parameter(
         "learned",
@@ -40,6 +43,7 @@ class GaussianProcessSettings:
         "with it.",
         choices=("learned",),
         minimum=0.0,
+        maximum=LARGEST,
     )
     minimum_noise: float = parameter(
         1e-9,
@@ -64,6 +68,7 @@ class GaussianProcessSettings:
         None,
         "Held signal variance in the output's unit squared; null trains it.",
         minimum=1e-300,
+        maximum=1e76,
     )
     training: str = parameter(
         "lbfgs",

@@ -60,7 +60,7 @@ def reading_state(state: object) -> Iterator[None]:
         ProblemError: If the state is of another version, incomplete or damaged.
     """
     version = state.get("version") if isinstance(state, Mapping) else None
-    if version != STATE_VERSION:
+    if not isinstance(version, int) or version != STATE_VERSION:
         raise ProblemError(f"the state is of version {version!r}; {STATE_VERSION} is allowed")
     try:
         yield
@@ -87,6 +87,8 @@ def read_state(path: str | Path) -> dict[str, Any]:
     """
     try:
         state = json.loads(Path(path).read_text(encoding="utf-8"))
+    except TypeError:
+        raise ProblemError(f"path is {path!r:.60}; the name of a file is allowed") from None
     except OSError as error:
         raise ProblemError(f"the file '{path}' cannot be read: {error.strerror}") from None
     except ValueError:

@@ -13,7 +13,7 @@ from mobo_tuner.core.acquisition_optimizer import MAXIMIZERS, Maximizer, make_ma
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
 from mobo_tuner.core.initial_design import DESIGNS
 from mobo_tuner.core.pareto import FloatArray
-from mobo_tuner.core.problem import Problem, ProblemError
+from mobo_tuner.core.problem import LARGEST, Problem, ProblemError
 from mobo_tuner.core.proximal import ProximalBiasing
 from mobo_tuner.errors import ParameterError
 from mobo_tuner.parameter_spec import parameter, unknown
@@ -74,6 +74,7 @@ class OptimizerSettings(GaussianProcessSettings):
         "One weight for each objective, in the problem's order and the inverse of its unit: ei and "
         "ucb minimise the weighted sum of the minimised objectives.",
         minimum=0.0,
+        maximum=LARGEST,
     )
     proximal: str | float | tuple[float, ...] | None = parameter(
         None,
@@ -213,14 +214,14 @@ def make_settings(preset: str, overrides: Mapping[str, Any]) -> OptimizerSetting
     Raises:
         ProblemError: If the preset or a choice is unknown, or its value is not allowed.
     """
-    if preset not in tuple(PRESETS):
+    if not isinstance(preset, str) or preset not in PRESETS:
         raise ProblemError(f"preset is {preset!r}; allowed are {', '.join(PRESETS)}")
     for name in overrides:
         if name not in CHOICES:
             raise ProblemError(unknown(name, CHOICES, "the choices of the optimiser"))
     base = PRESETS[preset]
     choices = {name: getattr(base, name) for name in CHOICES} | dict(overrides)
-    if choices["maximizer"] != base.maximizer and "maximizer_settings" not in overrides:
+    if "maximizer" in overrides and "maximizer_settings" not in overrides:
         choices["maximizer_settings"] = {}
     try:
         return OptimizerSettings(**choices)
