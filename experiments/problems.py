@@ -17,8 +17,8 @@ from awa_sim_node.surrogate import Surrogate
 from awa_sim_node.surrogate import metadata as surrogate_metadata
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.core.hypervolume import hypervolume
-from mobo_tuner.core.models import PriorMean
 from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.prior_mean import PriorMean
 
 CACHE = Path(__file__).resolve().parent / ".cache"
 AWA_OUTPUTS = ("sigma_x", "sigma_y", "sigma_z", "eps_x", "eps_y", "eps_z", "dE")

@@ -21,7 +21,7 @@ import numpy as np
 
 from experiments.problems import Benchmark, Run, cached, resume, surrogate_digest
 from mobo_tuner.core import Optimizer, optimizer
-from mobo_tuner.core.models import PriorMean
+from mobo_tuner.core.prior_mean import PriorMean
 
 SAVED_EVERY = 20.0  # seconds
 _CORE = Path(optimizer.__file__).parent

@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
-from rclpy.node import Node
 
 from experiments.safe import CASES, EVALUATIONS, run
-from mobo_msgs_py.action import Tune
 from mobo_tuner.core import Optimizer, Problem, ProblemError
 from mobo_tuner.core.safety import trust_distance
-from mobo_tuner.runs.history import History
-from mobo_tuner.runs.journal import read_journal
-from mobo_tuner.runs.replay import compare
 from robustness.offline_run import TOY, toy
-from tests.support.processes import NodeProcess
-from tests.support.tuner import GoalClient, toy_machine
 
 
 def test_the_trust_distance_grows_with_safe_evaluations_and_shrinks_after_others() -> None:
@@ -66,19 +56,3 @@ def test_a_safe_run_violates_nothing_that_a_usual_one_does() -> None:
     assert safe[0] == 0
     assert safe[1] > 0.85 * soft[1]
     assert EVALUATIONS >= 20
-
-
-def test_a_run_begins_where_the_machine_is(
-    start_tuner: Callable[..., NodeProcess], client: GoalClient, node: Node, tmp_path: Path
-) -> None:
-    machine = toy_machine(node)
-    machine.position = {"x1": 0.5, "x2": -0.5}
-    start_tuner("initial_evaluations:=3", config="safe.yaml")
-    client.send(Tune.Goal(run_id="safe", evaluations=6))
-    assert client.wait(60.0).error_code == 0
-    asked = [{item.name: item.value for item in goal.setpoint} for goal in machine.goals]
-    assert asked[0] == {"x1": 0.5, "x2": -0.5}
-    assert max(abs(asked[1]["x1"] - 0.5), abs(asked[1]["x2"] + 0.5)) < 0.3
-    history = History.from_records(read_journal(tmp_path / "runs" / "safe"))
-    assert not any(comparison.differs for comparison in compare(history))
-    assert all(e.feasible for e in history.evaluations)

@@ -8,7 +8,6 @@ from scipy.optimize import approx_fprime
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
 
-from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
 from mobo_tuner.core.kernels import KERNELS
 from mobo_tuner.core.training import (
@@ -198,12 +197,3 @@ def test_a_training_stops_at_its_deadline_with_the_best_so_far() -> None:
     assert value == pytest.approx(float(best @ best))
     best, value = train_lbfgs(bowl, start, bounds, free, 1e-12, deadline=time.monotonic() - 1.0)
     assert best.tolist() == start[0].tolist()
-
-
-@pytest.mark.parametrize(("noise", "kink"), [(0.0, False), (0.0, True), (0.05, False), (0.1, True)])
-def test_noise_is_told_from_kinks_by_the_evidence(noise: float, kink: bool) -> None:
-    rng = np.random.default_rng(4)
-    x = rng.uniform(-1.0, 1.0, (40, 2))
-    y = np.hypot(x[:, 0] - 0.3, x[:, 1]) if kink else np.sin(2.0 * x[:, 0]) + x[:, 1]
-    model = GaussianProcess().fit(x, y + noise * rng.standard_normal(40))
-    assert (model.noise_evidence() > 8.0) == (noise > 0.0)

@@ -13,7 +13,8 @@ from mobo_tuner.core.belief import Belief, believe, is_certain, measured, probab
 from mobo_tuner.core.dataset import Dataset, Evaluation, Measured
 from mobo_tuner.core.hypervolume import BoxDecomposition
 from mobo_tuner.core.linear_algebra import single_blas_thread
-from mobo_tuner.core.models import Models, PriorMean
+from mobo_tuner.core.models import Models
+from mobo_tuner.core.prior_mean import PriorMean
 from mobo_tuner.core.problem import Array, Problem, ProblemError, as_float
 from mobo_tuner.core.settings import OptimizerSettings
 
@@ -27,7 +28,7 @@ class Archive:
         problem: Problem that is tuned.
         settings: Settings of the optimiser.
         seed: Seed of every random choice.
-        prior_means: Functions that predict some quantities, see `models.PriorMean`.
+        prior_means: Functions that predict some quantities, see `prior_mean.PriorMean`.
 
     Raises:
         ProblemError: If a prior mean is given for a quantity that is not modelled.

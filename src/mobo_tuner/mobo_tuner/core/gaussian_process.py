@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mobo_tuner.core.evidence import drift_evidence, noise_evidence
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
 from mobo_tuner.core.kernels import Kernel, Timed, as_inputs
 from mobo_tuner.core.linear_algebra import FloatArray, single_blas_thread
 from mobo_tuner.core.output_scaling import OutputScaling, is_constant
 from mobo_tuner.core.posterior import Posterior
-from mobo_tuner.core.training import drift_evidence, noise_evidence, train
+from mobo_tuner.core.training import train
 
 __all__ = ["GaussianProcess", "GaussianProcessSettings", "LeaveOneOut", "Prediction"]
 
@@ -295,7 +296,7 @@ class GaussianProcess:
         return np.exp(drawn) if model.scaling.log else drawn
 
     def noise_evidence(self) -> float:
-        """Return the log evidence that the readings are noisy, see `training.noise_evidence`."""
+        """Return the log evidence that the readings are noisy, see `evidence.noise_evidence`."""
         model, posterior, y, stddev = self._fitted
         known = self._known_noise(model.scaling, y, stddev)
         with single_blas_thread():
@@ -304,7 +305,7 @@ class GaussianProcess:
             )
 
     def drift_evidence(self, times: FloatArray) -> float:
-        """Return the log evidence that the function changes with time, see `training.drift_evidence`.
+        """Return the log evidence that the function changes with time, see `evidence.drift_evidence`.
 
         Args:
             times: Times of the observations `(n,)`, in the unit of the last input.

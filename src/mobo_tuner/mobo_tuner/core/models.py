@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from copy import copy
 from dataclasses import replace
 from typing import Any
@@ -12,32 +12,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mobo_tuner.core.context import Context
 from mobo_tuner.core.dataset import BoolArray, Dataset
-from mobo_tuner.core.exploration import spread_out
 from mobo_tuner.core.gaussian_process import GaussianProcess
-from mobo_tuner.core.gaussian_process_settings import MeanFunction
-from mobo_tuner.core.kernels import LONGEST_TIME_SCALE
-from mobo_tuner.core.pareto import is_nondominated
-from mobo_tuner.core.problem import LARGEST, Array, Problem, ProblemError
-from mobo_tuner.core.resolution import readings_differ
+from mobo_tuner.core.prior_mean import PriorMean, mean_functions
+from mobo_tuner.core.problem import Array, Problem, ProblemError
+from mobo_tuner.core.selection import Selection
 from mobo_tuner.core.settings import OptimizerSettings
+from mobo_tuner.core.steadiness import Steadiness
 from mobo_tuner.core.suspects import find_suspects, is_doubtful
 from mobo_tuner.core.validity import ValidityModel
 
-_MOST_ROWS = 500  # evaluations that a model learns from
-_LEAST_ROWS = 100
 _MOST_TRAINED = 250  # of these, for the hyperparameters, where there are more evaluations than rows
-_SECONDS_OF_ALL = 0.5  # time budget of a suggestion from which on models learn from as many
 _TRAINING_SHARE = 0.4  # of the time budget
 _NEWS = 1e-3  # of the readings' spread
 _NEWS_OF_NOISE = 0.4  # of the noise: about that of six readings' average
-_NOISY = 11.0  # log evidence from which on the machine is taken for noisy
-_FEW = 60  # evaluations up to which every training weighs it
-_DRIFTS = 10.0  # log evidence from which on the machine is taken to drift
-_TIME_UNIT = 100  # evaluations in a unit of time, if none is given
-
-PriorMean = Callable[[Mapping[str, Array]], Array]
-"""Predicts one quantity in its own unit, shape ``(n,)``, from one array ``(n,)`` per variable."""
+_FEW = 60  # evaluations up to which every training weighs the evidence
 
 
 class Models:
@@ -50,10 +40,11 @@ class Models:
         problem: Problem whose quantities are modelled.
         settings: Settings of the optimiser.
         seed: Seed of the random starts of training.
-        prior_means: Functions that predict some quantities, see `PriorMean`.
+        prior_means: Functions that predict some quantities, see `prior_mean.PriorMean`.
 
     Raises:
-        ProblemError: If a prior mean is given for a quantity that is not modelled.
+        ProblemError: If a prior mean is of a quantity that is not modelled, or not a function of the
+            variables.
     """
 
     def __init__(
@@ -68,28 +59,14 @@ class Models:
         self._seconds = (
             math.inf if settings.suggestion_seconds is None else settings.suggestion_seconds
         )
-        self._most = _MOST_ROWS
-        if self._seconds < _SECONDS_OF_ALL:
-            self._most = max(
-                round(_MOST_ROWS * math.sqrt(self._seconds / _SECONDS_OF_ALL)), _LEAST_ROWS
-            )
+        self._selection = Selection(self._seconds)
         self._seed = seed
         self._signs = {o.name: o.sign for o in problem.objectives}
-        if prior_means is not None and not isinstance(prior_means, Mapping):
-            raise ProblemError(f"prior_means must be a mapping of names, not {prior_means!r:.60}")
-        self._means = {n: self._mean_function(n, f) for n, f in (prior_means or {}).items()}
+        self._means = mean_functions(problem, prior_means)
         self._settings = settings
-        self._drift_evidence = 0.0  # of all outputs together, at the last training
-        self._timed = settings.drift == "on"  # whether time is an input of the processes
-        self._clock = (0.0, 1.0)  # the latest time and the unit of time at the last training [s]
+        self._steadiness = Steadiness(settings.noise, settings.drift)
+        self._context = Context(timed=self._steadiness.drifts)
         self._processes = self._untrained()
-        for name in self._means:
-            if name not in self._processes:
-                raise ProblemError(
-                    f"a prior mean is given for '{name}'; allowed are {', '.join(self._processes)}"
-                )
-            self._means[name](np.zeros((2, len(problem.variables))))
-        self._last_kept: tuple[bytes, NDArray[np.intp]] = (b"", np.empty(0, dtype=np.intp))
         self.validity = ValidityModel()
         self._judged = 0  # number of evaluations that the model of validity holds
         self._trained = 0  # number of evaluations with an output at the last training
@@ -97,8 +74,6 @@ class Models:
         self._held = 0  # number of all evaluations that the models hold
         self._outdated = False  # whether some of these were withdrawn or taken back
         self._suspects: dict[str, NDArray[np.intp]] = {}  # evaluations, by output, if there are any
-        self._noise = settings.noise
-        self._noise_evidence = 0.0  # of all outputs together, at the last training
 
     def _untrained(self) -> dict[str, GaussianProcess]:
         """Return the process of every output, without observations."""
@@ -109,7 +84,7 @@ class Models:
                 # One that is not inferred yet: no model is used before it is.
                 o.sign * o.reference if math.isfinite(o.reference) else 0.0,
                 mean=self._means.get(o.name),
-                timed=self._timed,
+                timed=self._context.timed,
             )
             for o in self._problem.objectives
         }
@@ -118,30 +93,9 @@ class Models:
         for name in self._problem.required_diagnostics:
             if name not in processes:
                 processes[name] = GaussianProcess(
-                    constrained, mean=self._means.get(name), timed=self._timed
+                    constrained, mean=self._means.get(name), timed=self._context.timed
                 )
         return processes
-
-    def _mean_function(self, name: str, prior_mean: PriorMean) -> MeanFunction:
-        """Return the prior mean of what is modelled, as a function of normalised inputs."""
-        sign = self._signs.get(name, 1.0)
-        if not callable(prior_mean):
-            raise ProblemError(f"the prior mean of '{name}' must be a function")
-
-        def mean(x: Array) -> Array:
-            predicted = prior_mean(self._problem.columns(x[:, : len(self._problem.variables)]))
-            try:
-                values = np.asarray(predicted, dtype=float)
-            except (TypeError, ValueError):
-                values = np.empty(0)
-            if values.shape != (len(x),) or not (np.abs(values) <= LARGEST).all():
-                raise ProblemError(
-                    f"the prior mean of '{name}' must return {len(x)} finite numbers for as many "
-                    f"set-points, not {predicted!r:.60}"
-                )
-            return sign * values
-
-        return mean
 
     @property
     def ready(self) -> bool:
@@ -205,33 +159,14 @@ class Models:
         """Model, lower and upper limit of each constraint on what was measured at least once."""
         return [(model, lower, upper) for _, model, lower, upper in self.limited if model.n]
 
-    def is_noisy(self, data: Dataset) -> bool:
-        """Return whether the machine is noisy: as was said or told, or by the evidence.
-
-        Evidence is that readings differ at one place, or that no noiseless function explains them.
-        """
-        if not isinstance(self._noise, str) and self._noise > 0.0:
-            return True
-        if any((data.stddev_column(name) > 0.0).any() for name in self._processes):
-            return True
-        if self._learns_noise or self.drifts:
-            return self._learns_noise
-        return isinstance(self._noise, str) and data.once(readings_differ)
-
     @property
     def drifts(self) -> bool:
         """Whether the machine changes with time: as the settings say, or by the evidence."""
-        drift = self._settings.drift
-        return drift == "on" or (drift == "auto" and self._drift_evidence > _DRIFTS)
+        return self._steadiness.drifts
 
     def trusts_readings(self, data: Dataset) -> bool:
         """Return whether a reading counts as it is: the machine neither drifts nor is noisy."""
-        return not (self.drifts or self.is_noisy(data))
-
-    @property
-    def _learns_noise(self) -> bool:
-        """Whether the noise is learned and the evidence says that there is some."""
-        return isinstance(self._noise, str) and self._noise_evidence > _NOISY
+        return not (self.drifts or self._steadiness.is_noisy(data, self._processes))
 
     def extended(self, data: Dataset) -> Models:
         """Return models that know all of `data`, with the hyperparameters of the last training.
@@ -278,7 +213,7 @@ class Models:
         """
         if len(data) > self._judged or self._outdated:
             self._judged = len(data)
-            judged = self._judged_rows(data)
+            judged = self._selection.of_failures(data, self._judged)
             self.validity.fit(data.inputs[judged], ~data.failed[judged])
         count = self._count(data)
         if count == 0 or (count == self._count(data, self._held) and not self._outdated):
@@ -305,14 +240,15 @@ class Models:
             Whether any process was trained.
         """
         if train:
-            self._clock = self._clock_of(data.times)
-            if self._timed != self.drifts:
-                self._timed, restarts = self.drifts, None
+            former, drifts = self._context, self.drifts
+            self._context = Context.of(drifts, data.times, self._settings.drift_time)
+            if drifts != former.timed:
+                restarts = None
                 self._processes = self._untrained()
-        count, inputs = self._count(data), self._inputs(data)
+        count, inputs = self._count(data), self._context.inputs(data)
         trained = train
         begin = time.monotonic()
-        noisy = self._learns_noise
+        noisy = self._steadiness.learns_noise
         for position, (name, process) in enumerate(self._processes.items()):
             y, stddev = self._observations(name, data)
             rows = np.flatnonzero(np.isfinite(y))
@@ -345,59 +281,31 @@ class Models:
         if train and (restarts is None or count <= _FEW):
             deadline = begin + _TRAINING_SHARE * self._seconds
             if self._settings.drift == "auto" and not again:
-                self._weigh_drift(data, deadline)
-                if self.drifts != self._timed and not self._is_hurried:
+                self._steadiness = self._steadiness.with_drift_of(
+                    self._timed_outputs(data), deadline
+                )
+                if self.drifts != self._context.timed and not self._is_hurried:
                     return self._learn(data, train, restarts, again=True)
-            self._weigh_noise(deadline)
-            if self._learns_noise and not noisy and not self._is_hurried:
+            self._steadiness = self._steadiness.with_noise_of(self._processes.values(), deadline)
+            if self._steadiness.learns_noise and not noisy and not self._is_hurried:
                 self._learn(data, train, restarts, again=True)
         return trained
 
-    # ------------------------------------------------------------------ time
-
-    def _clock_of(self, times: Array) -> tuple[float, float]:
-        """Return the latest of some times ``(n,)`` and the unit of time [s].
-
-        The unit is the time in which the machine changes noticeably, as the settings say or in the
-        order of magnitude in which that would matter to a run.
-        """
-        unit = self._settings.drift_time
-        if not unit:
-            steps = np.diff(np.sort(times))
-            unit = _TIME_UNIT * (float(np.median(steps)) if len(steps) else 1.0)
-        return float(times.max(initial=-math.inf)), unit or 1.0
-
-    def _time_inputs(self, data: Dataset) -> Array:
-        """Return when each evaluation was measured ``(n,)``, before the last training, in units of time."""
-        latest, unit = self._clock
-        # What is older than any time scale would only cost digits.
-        return np.maximum((data.times - latest) / unit, -LONGEST_TIME_SCALE)
-
-    def _inputs(self, data: Dataset) -> Array:
-        """Return the inputs of the processes ``(n, d)``, with time as the last one if it is one."""
-        if not self._timed:
-            return data.inputs
-        return np.column_stack([data.inputs, self._time_inputs(data)])
+    def _timed_outputs(self, data: Dataset) -> Iterator[tuple[GaussianProcess, Array]]:
+        """Yield the process of each output, and when its observations were measured ``(n,)``."""
+        times = self._context.times(data)
+        for name, process in self._processes.items():
+            y, _ = self._observations(name, data)
+            rows = self._kept(data, np.flatnonzero(np.isfinite(y)))
+            if len(rows) and len(rows) == process.n:
+                yield process, times[rows]
 
     def _set_now(self, data: Dataset) -> None:
         """Let the processes predict for the time of the latest evaluation that they hold."""
-        if self._timed:
-            now = float(self._time_inputs(data)[: self._held].max(initial=-math.inf))
+        if self._context.timed:
+            now = self._context.now(data, self._held)
             for process in self._processes.values():
                 process.now = now
-
-    def _weigh_drift(self, data: Dataset, deadline: float) -> None:
-        """Compute the evidence of drift; it stays as it was if time is up, by `time.monotonic`."""
-        evidence, times = 0.0, self._time_inputs(data)
-        for name, process in self._processes.items():
-            if time.monotonic() > deadline:
-                return
-            y, _ = self._observations(name, data)
-            rows = np.flatnonzero(np.isfinite(y))
-            rows = self._kept(data, rows) if len(rows) else rows
-            if len(rows) and len(rows) == process.n:
-                evidence += max(process.drift_evidence(times[rows]), 0.0)
-        self._drift_evidence = evidence
 
     # ------------------------------------------------------------------ suspects
 
@@ -417,7 +325,7 @@ class Models:
         former = self.suspects(name)
         former = former[np.isfinite(y[former])]
         every = np.union1d(rows, former)
-        x, process = self._inputs(data), self._processes[name]
+        x, process = self._context.inputs(data), self._processes[name]
         found = find_suspects(
             process,
             x[every],
@@ -451,7 +359,7 @@ class Models:
         y, stddev = data.column(name) * self._signs.get(name, 1.0), data.stddev_column(name)
         process = self._processes[name] = self._processes[name].untrained()
         rng = np.random.default_rng(seed)
-        process.fit(self._inputs(data)[rows], y[rows], stddev[rows], rng=rng, noisy=noisy)
+        process.fit(self._context.inputs(data)[rows], y[rows], stddev[rows], rng=rng, noisy=noisy)
 
     def suspects(self, name: str) -> NDArray[np.intp]:
         """Return the evaluations whose reading of an output is suspected, in their order."""
@@ -462,46 +370,15 @@ class Models:
         """Whether any reading is suspected."""
         return any(map(len, self._suspects.values()))
 
-    def _weigh_noise(self, deadline: float) -> None:
-        """Compute the evidence of noise; it stays as it was if time is up, by `time.monotonic`."""
-        evidence = 0.0
-        for process in self._processes.values():
-            if time.monotonic() > deadline:
-                return
-            if process.n:
-                evidence += max(process.noise_evidence(), 0.0)
-        self._noise_evidence = evidence
-
     def _kept(self, data: Dataset, rows: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the evaluations to learn from, at most so many: all, or those that matter most.
-
-        Those are the last ones, points of the front, and what fills the space best. The models'
-        costs would grow as the cube of the evaluations, and those of a prediction as the square.
-        """
-        if len(rows) <= self._most:
-            return rows
-        objectives, feasible = data.objectives[rows], data.feasible[rows]
-        key = rows.tobytes() + objectives.tobytes() + feasible.tobytes()
-        if self._last_kept[0] != key:  # it is the same for most outputs
-            good = rows[is_nondominated(objectives) & feasible]
-            last = rows[-self._most // 4 :]
-            kept = spread_out(self._inputs(data), rows, [last, good], self._most)
-            self._last_kept = key, kept
-        return self._last_kept[1]
+        """Return those evaluations of an output that its process learns from."""
+        return self._selection.of_outputs(data, self._context.inputs(data), rows)
 
     def _rows(self, data: Dataset, y: Array) -> NDArray[np.intp]:
         """Return the evaluations of an output y ``(n,)`` that its process holds, in their order."""
         rows = np.flatnonzero(np.isfinite(y[: self._held]))
         trained = rows[rows < self._trained_rows]
         return np.concatenate([self._kept(data, trained), rows[rows >= self._trained_rows]])
-
-    def _judged_rows(self, data: Dataset) -> NDArray[np.intp]:
-        """Return the evaluations that the model of validity learns from."""
-        rows = np.flatnonzero(~data.forgotten[: self._judged])
-        if len(rows) <= self._most // 2 or (len(rows) <= self._most and not self._is_hurried):
-            return rows
-        most = self._most // 2 if self._is_hurried else self._most
-        return spread_out(data.inputs, rows, [rows[data.failed[rows]]], most)
 
     @property
     def _is_hurried(self) -> bool:
@@ -515,7 +392,7 @@ class Models:
     def forget(self, data: Dataset) -> None:
         """Drop what was withdrawn from `data` and learn what was taken back; `update` trains next."""
         if self._judged:
-            judged = self._judged_rows(data)
+            judged = self._selection.of_failures(data, self._judged)
             self.validity = ValidityModel()
             if len(judged):
                 self.validity.fit(data.inputs[judged], ~data.failed[judged])
@@ -526,7 +403,7 @@ class Models:
                 self._processes[name] = process.untrained()
             else:
                 learn = process.condition if process.n else process.fit
-                learn(self._inputs(data)[rows], y[rows], stddev[rows])
+                learn(self._context.inputs(data)[rows], y[rows], stddev[rows])
         self._set_now(data)
         self._outdated = self._judged > 0
 
@@ -544,9 +421,9 @@ class Models:
             "held": self._held,
             "judged": self._judged,
             "outdated": self._outdated,
-            "noise_evidence": self._noise_evidence,
-            "drift_evidence": self._drift_evidence,
-            "timed": self._timed,
+            "noise_evidence": self._steadiness.noise_evidence,
+            "drift_evidence": self._steadiness.drift_evidence,
+            "timed": self._context.timed,
             "suspects": {name: rows.tolist() for name, rows in self._suspects.items()},
             "validity": self.validity.get_state(),
             "processes": {name: p.get_state() for name, p in self._processes.items()},
@@ -561,9 +438,11 @@ class Models:
         self._trained, self._trained_rows = int(state["trained"]), int(state["trained_rows"])
         self._held, self._judged = int(state["held"]), int(state["judged"])
         self._outdated = bool(state["outdated"])
-        self._noise_evidence = float(state["noise_evidence"])
-        self._drift_evidence = float(state.get("drift_evidence", 0.0))
-        self._timed = bool(state.get("timed", False))
+        self._steadiness = replace(
+            self._steadiness,
+            noise_evidence=float(state["noise_evidence"]),
+            drift_evidence=float(state.get("drift_evidence", 0.0)),
+        )
         self._suspects = {
             name: np.array(rows, dtype=np.intp) for name, rows in state["suspects"].items()
         }
@@ -578,8 +457,9 @@ class Models:
                 f"evaluations and hold {self._held}, those of failures {self._judged}, "
                 f"but there are {len(data)}"
             )
-        self._clock = self._clock_of(data.times[: self._trained_rows])
-        judged = self._judged_rows(data)
+        timed, times = bool(state.get("timed", False)), data.times[: self._trained_rows]
+        self._context = Context.of(timed, times, self._settings.drift_time)
+        judged = self._selection.of_failures(data, self._judged)
         self.validity = ValidityModel.from_state(
             state["validity"], data.inputs[judged], ~data.failed[judged]
         )
@@ -588,12 +468,12 @@ class Models:
             rows = self._rows(data, y)
             self._processes[name] = GaussianProcess.from_state(
                 state["processes"][name],
-                self._inputs(data)[rows],
+                self._context.inputs(data)[rows],
                 y[rows],
                 stddev[rows],
                 mean=self._means.get(name),
             )
-            if self._processes[name].n != len(rows) or self._processes[name].timed != self._timed:
+            if self._processes[name].n != len(rows) or self._processes[name].timed != timed:
                 raise ProblemError(f"the state lacks what the model of '{name}' was fitted to")
         self._set_now(data)
 

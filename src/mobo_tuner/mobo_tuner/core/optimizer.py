@@ -6,23 +6,20 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Mapping
 from difflib import get_close_matches
-from functools import reduce
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import Any, overload
 
 import numpy as np
 
 from mobo_tuner.core.archive import Archive
-from mobo_tuner.core.candidate_search import CandidateSearch
+from mobo_tuner.core.batch import Pending
 from mobo_tuner.core.dataset import Dataset, Evaluation, Measured
 from mobo_tuner.core.focus import around, choose_on_front
 from mobo_tuner.core.hints import doubts, hints
-from mobo_tuner.core.linear_algebra import single_blas_thread
-from mobo_tuner.core.models import Models, PriorMean
+from mobo_tuner.core.models import Models
 from mobo_tuner.core.optimizer_state import (
     STATE_VERSION,
     evaluations_state,
@@ -32,12 +29,10 @@ from mobo_tuner.core.optimizer_state import (
     write_state,
 )
 from mobo_tuner.core.predicted_front import predict_front
+from mobo_tuner.core.prior_mean import PriorMean
 from mobo_tuner.core.problem import Array, Problem, ProblemError
-from mobo_tuner.core.resolution import SAME
-from mobo_tuner.core.safety import SafeSearch, is_guarded, was_safe
 from mobo_tuner.core.settings import make_settings
-
-Source = Literal["initial", "model"]
+from mobo_tuner.core.suggestion import Source, Suggester
 
 JUDGE_PERIOD = 10
 """Number of evaluations between two judgements of the models."""
@@ -96,7 +91,8 @@ class Optimizer:
         self._prior_means = prior_means
         self._last_source: Source = "initial"
         self._told: set[str] = set()  # outputs that were told, or are known to be misspelt
-        self._pending: list[dict[str, float]] = []
+        self._suggester = Suggester(self.settings, seed)
+        self._pending = Pending()
 
     @property
     def problem(self) -> Problem:
@@ -186,7 +182,7 @@ class Optimizer:
                 a number; nothing is learned.
         """
         evaluation = self.archive.tell(setpoint, outputs, readbacks, failed, time)
-        self._no_longer_pending(setpoint)
+        self._pending.remove(setpoint, self.problem)
         self._warn_of_misspelt(outputs)
         return evaluation
 
@@ -256,9 +252,8 @@ class Optimizer:
     def ask(self, count: int | None = None) -> dict[str, float] | list[dict[str, float]]:
         """Return the set-point to evaluate next, or several that are worth measuring together.
 
-        A batch is chosen one by one, each as if those before it, and all others that are pending, had
-        read what the models predict (the "Kriging believer" of [Ginsbourger2010]_). Its set-points are
-        pending until they are told or cancelled.
+        The set-points of a batch are pending until they are told or cancelled, and others are chosen
+        with regard to them.
 
         Args:
             count: Number of set-points of a batch; None for a single one, which does not become
@@ -269,28 +264,21 @@ class Optimizer:
 
         Raises:
             ProblemError: If the count is not an integer of at least 1.
-
-        .. [Ginsbourger2010] D. Ginsbourger, R. Le Riche, L. Carraro, "Kriging is well-suited to
-           parallelize optimization", Computational Intelligence in Expensive Optimization Problems,
-           Springer 2010.
         """
         if count is None:
-            return self._next(self._expecting_pending())
+            suggestion = self._pending.next(self.archive, self._suggester)
+            self._last_source = suggestion.source
+            return suggestion.setpoint
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
             raise ProblemError(f"count is {count!r}; an integer of at least 1 is allowed")
-        batch: list[dict[str, float]] = []
-        archive = self._expecting_pending()
-        while len(batch) < count:
-            if batch:
-                archive = archive.expecting(batch[-1])
-            batch.append(self._next(archive))
-            self._pending.append(batch[-1])
-        return [dict(setpoint) for setpoint in batch]
+        batch = self._pending.extend(self.archive, self._suggester, count)
+        self._last_source = batch[-1].source
+        return [suggestion.setpoint for suggestion in batch]
 
     @property
     def pending(self) -> list[dict[str, float]]:
         """Set-points of batches that were neither told nor cancelled yet, in the order of asking."""
-        return [dict(setpoint) for setpoint in self._pending]
+        return self._pending.setpoints
 
     def cancel(self, setpoint: Mapping[str, float]) -> None:
         """Take back a pending set-point that will not be evaluated.
@@ -301,40 +289,8 @@ class Optimizer:
         Raises:
             ProblemError: If it is not pending.
         """
-        if not self._no_longer_pending(setpoint):
+        if not self._pending.remove(setpoint, self.problem):
             raise ProblemError(f"the set-point {dict(setpoint)} is not pending")
-
-    def _no_longer_pending(self, setpoint: Mapping[str, float]) -> bool:
-        """Remove a set-point from the pending ones; return whether it was one."""
-        if not self._pending:
-            return False
-        pending = np.array([self.problem.normalize(each) for each in self._pending])
-        distances = np.abs(pending - self.problem.normalize(setpoint)).max(axis=1)
-        nearest = int(distances.argmin())
-        if distances[nearest] > SAME:
-            return False
-        del self._pending[nearest]
-        return True
-
-    def _expecting_pending(self) -> Archive:
-        """Return the archive as if all pending set-points had read what the models predict."""
-        return reduce(Archive.expecting, self._pending, self.archive)
-
-    def _next(self, archive: Archive) -> dict[str, float]:
-        """Return the next set-point by what an archive knows or expects."""
-        index = len(archive.dataset)
-        if is_guarded(archive.problem, self.settings):
-            self._last_source = "initial" if index < self.initial_evaluations else "model"
-            with single_blas_thread():
-                safe = SafeSearch(archive, self.settings, self.seed).candidate()
-            return self.problem.denormalize(safe)
-        search = CandidateSearch(archive, self.settings, self.seed)
-        if index < self.initial_evaluations:
-            self._last_source = "initial"
-            return self.problem.denormalize(search.initial_point(index))
-        self._last_source = "model"
-        with single_blas_thread():
-            return self.problem.denormalize(search.candidate())
 
     def expected_gain(self, setpoint: Mapping[str, float]) -> float:
         """Return the gain of hypervolume that the models expect of an evaluation, as a share of it.
@@ -351,11 +307,7 @@ class Optimizer:
         Raises:
             ProblemError: If the set-point does not fit the problem.
         """
-        x = self.problem.normalize(setpoint)
-        if len(self.dataset) < self.initial_evaluations:
-            return math.nan
-        with single_blas_thread():
-            return self._search().expected_gain(x)
+        return self._suggester.expected_gain(self.archive, self.problem.normalize(setpoint))
 
     def log_acquisition(self, x: Array) -> Array:
         """Return the logarithm of the acquisition function, by the models of the last suggestion.
@@ -368,33 +320,19 @@ class Optimizer:
         Returns:
             Values ``(m,)``; NaN if there are no models yet, or nothing shows where it is large.
         """
-        function = None
-        if len(self.dataset) >= self.initial_evaluations and self.archive.models.ready:
-            with single_blas_thread():
-                function = self._search().acquisition_function()
-                if function is not None:
-                    return function.log_value(x)
-        return np.full(len(x), math.nan)
+        return self._suggester.log_acquisition(self.archive, x)
 
     @property
     def needs_start(self) -> bool:
         """Whether suggestions must be near and safe, and no evaluation is, from which they could begin."""
-        return is_guarded(self.problem, self.settings) and not was_safe(self.dataset).any()
+        return self._suggester.needs_start(self.archive)
 
     def catch_up(self) -> None:
         """Update the models as `ask` would, without the search.
 
         A run is replayed quickly by it; later suggestions are unaffected.
         """
-        if is_guarded(self.problem, self.settings) or (
-            len(self.dataset) >= self.initial_evaluations
-        ):
-            self.archive.update()
-            if self.archive.models.ready:
-                self._search().acquisition_function()
-
-    def _search(self) -> CandidateSearch:
-        return CandidateSearch(self.archive, self.settings, self.seed)
+        self._suggester.catch_up(self.archive)
 
     def focus(
         self,
@@ -499,7 +437,7 @@ class Optimizer:
             other.tell(e.setpoint, outputs, e.readbacks, e.reported_failed, e.time)
         for index, name in self.dataset.withdrawn:
             other.forget(index, name)
-        other._pending = self.pending
+        other._pending = Pending(self.pending)
 
     # ------------------------------------------------------------------ state
 
@@ -545,9 +483,10 @@ class Optimizer:
             for evaluation in told_evaluations(state):
                 restored.tell(*evaluation)
             restored.archive.set_state(state)
-            for setpoint in state.get("pending", []):  # there were none before there were batches
+            pending = state.get("pending", [])  # there were none before there were batches
+            for setpoint in pending:
                 restored.problem.normalize(setpoint)
-                restored._pending.append(dict(setpoint))
+            restored._pending = Pending(pending)
             return restored
 
     def save(self, path: str | Path) -> None:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,23 +14,22 @@ from scipy.linalg import lapack
 from scipy.optimize import minimize
 
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
-from mobo_tuner.core.kernels import Kernel, Timed, squared_distances
+from mobo_tuner.core.kernels import Kernel, squared_distances
 from mobo_tuner.core.linear_algebra import FloatArray, cholesky, inverse_lower
-from mobo_tuner.core.posterior import RELATIVE_JITTER, Posterior
+from mobo_tuner.core.posterior import RELATIVE_JITTER
 
 _NOISE_PRIOR = (float(np.log(1e-4)), 2.0)
 _WIDE_NOISE_PRIOR = (float(np.log(1e-2)), 2.5)
 _VARIANCE_PRIOR_STDDEV = float(np.sqrt(2.0))
 _RESTART_SPREAD = 0.7
-_TOLERANCE = 1e-2  # of the log likelihood
 _BLOCK = 64
-_SUBSET = 128
-_EVIDENCE_STEPS = 30
-_CLEAR_NOISE = float(np.log(0.03))  # variance, as a share of that of the outputs
-_NEGLIGIBLE_NOISE = float(np.log(1e-5))  # variance, as a share of that of the outputs
-_NOISE_LEVELS = np.log([3e-4, 3e-3, 3e-2, 3e-1])  # the same, to look at first
-_LEAST_FOR_DRIFT = 8  # observations that say anything of time
-_TIME_SCALES = np.log([0.2, 1.0, 5.0])  # to look at first, in the unit of time
+
+CLEAR_NOISE = float(np.log(0.03))
+"""Logarithm of the variance of noise that is plain to see, as a share of that of the outputs."""
+TOLERANCE = 1e-2
+"""Gain in the log likelihood below which a training is done."""
+SUBSET = 128
+"""Number of observations on which many starts are compared."""
 
 Objective = Callable[[FloatArray], tuple[float, FloatArray]]
 
@@ -314,11 +313,11 @@ def train(
     drawn = default + _RESTART_SPREAD * rng.standard_normal((restarts, len(start)))
     starts = np.vstack([start, np.where(free, drawn, held)])
     if noisy and free[-1]:
-        clear = np.where(free, np.append(default[:-1], _CLEAR_NOISE), held)
+        clear = np.where(free, np.append(default[:-1], CLEAR_NOISE), held)
         starts = np.vstack([starts, clear])
-    if len(z) > _SUBSET and (former is None or restarts > 0):
+    if len(z) > SUBSET and (former is None or restarts > 0):
         starts = _best_start(objective, starts, bounds, free, former is not None, deadline)
-    tolerance = _TOLERANCE / len(z)
+    tolerance = TOLERANCE / len(z)
     return train_lbfgs(objective, starts, bounds, free, tolerance, deadline=deadline)[0]
 
 
@@ -335,7 +334,7 @@ def _best_start(
     With `keep_first`, the first is not changed. If every start were trained on all observations, each
     would cost as much as the winner.
     """
-    part = slice(None, None, -(-len(objective.z) // _SUBSET))
+    part = slice(None, None, -(-len(objective.z) // SUBSET))
     subset = NegativeLogPosterior(
         objective.kernel,
         objective.x[part],
@@ -343,7 +342,7 @@ def _best_start(
         objective.extra[part],
         objective.weak_prior,
     )
-    tolerance = _TOLERANCE / len(subset.z)
+    tolerance = TOLERANCE / len(subset.z)
     improved = [
         start
         if keep_first and i == 0
@@ -354,147 +353,3 @@ def _best_start(
         return np.array(improved[-1:])
     best = int(np.argmin([objective(start)[0] for start in improved]))
     return np.array(improved[best : best + 1])
-
-
-def noise_evidence(
-    settings: GaussianProcessSettings,
-    kernel: Kernel,
-    x: FloatArray,
-    z: FloatArray,
-    extra: FloatArray,
-    parameters: FloatArray,
-) -> float:
-    """Return the log evidence of noise against a noiseless function, roughly where it is not positive.
-
-    It is computed in full only if some level of noise is better than none without a training. In 420
-    trials with and without noise that took a third of the time and lost at most 0.5 of an evidence.
-
-    It is the gain in the highest marginal likelihood, or, if that is less, the gain in the densities
-    of the observations under their predictions from all others, of which each counts for at most one:
-    a kink or a step of a noiseless function spoils a few predictions, noise spoils them all.
-
-    Args:
-        settings: Settings of the training.
-        kernel: Covariance function of d inputs.
-        x: Normalised inputs `(n, d)`.
-        z: Standardised outputs less the prior mean `(n,)`.
-        extra: Known variances of z `(n,)`.
-        parameters: Trained hyperparameters `(k + 2,)`.
-    """
-    if settings.noise != "learned" or len(z) < 3 or not z.any():
-        return 0.0
-    part = slice(None, None, -(-len(z) // _SUBSET))
-    objective = NegativeLogPosterior(
-        kernel, x[part], z[part], extra[part], settings.prior == "weak", noisy=True
-    )
-    n = len(objective.z)
-    bounds = objective.bounds(float(np.exp(_NEGLIGIBLE_NOISE)))
-    free = np.ones(len(parameters), dtype=np.bool_)
-    default = objective.default_parameters()
-    noisy, noiseless = (
-        np.array([np.append(p[:-1], noise) for p in (parameters, default)])
-        for noise in (_CLEAR_NOISE, _NEGLIGIBLE_NOISE)
-    )
-    tolerance = _TOLERANCE / n
-    penalty = objective.noise_penalty(_NEGLIGIBLE_NOISE)
-
-    def lowest(starts: Iterable[FloatArray]) -> float:
-        return min(objective(np.clip(p, bounds[:, 0], bounds[:, 1]))[0] for p in starts)
-
-    without = lowest(noiseless)
-    learned = lowest([np.append(p[:-1], noise) for p in noiseless for noise in _NOISE_LEVELS])
-    most = n * (without - learned) - penalty
-    if most <= 0.0:  # no noise explains the observations any better
-        return most
-    noisy_best, learned = train_lbfgs(objective, noisy, bounds, free, tolerance, _EVIDENCE_STEPS)
-    most = n * (without - learned) - penalty
-    if most <= 0.0:  # the training below only lowers what there is without noise
-        return most
-    free[-1] = False
-    noiseless_best, without = train_lbfgs(
-        objective, noiseless, bounds, free, tolerance, _EVIDENCE_STEPS
-    )
-    likelihood = n * (without - learned) - penalty
-    densities = [
-        Posterior(
-            kernel,
-            best[:-2],
-            float(np.exp(best[-2])),
-            objective.x,
-            objective.z,
-            float(np.exp(best[-1])) + objective.extra,
-        ).leave_one_out_log_density
-        for best in (noisy_best, noiseless_best)
-    ]
-    return float(min(likelihood, np.clip(densities[0] - densities[1], -1.0, 1.0).sum()))
-
-
-def drift_evidence(
-    settings: GaussianProcessSettings,
-    kernel: Timed,
-    x: FloatArray,
-    z: FloatArray,
-    extra: FloatArray,
-    parameters: FloatArray,
-) -> float:
-    """Return the log evidence that a function changes with time, roughly where it is not positive.
-
-    It is the gain in the highest marginal likelihood over that of a function of the other inputs, both
-    with noise, or, if that is less, the gain in the densities of the observations under their
-    predictions from all others, of which each counts for at most one, as for `noise_evidence`. It is
-    computed in full only if some time scale is better than none without a training.
-
-    Args:
-        settings: Settings of the training.
-        kernel: Covariance function of d inputs, the last of them time.
-        x: Inputs `(n, d)`.
-        z: Standardised outputs less the prior mean `(n,)`.
-        extra: Known variances of z `(n,)`.
-        parameters: Hyperparameters `(k + 2,)` to start from, with any time scale.
-    """
-    if len(z) < _LEAST_FOR_DRIFT or not z.any():
-        return 0.0
-    rows = slice(None, None, -(-len(z) // _SUBSET))
-    x, z, extra = x[rows], z[rows], extra[rows]
-    weak, n, at = settings.prior == "weak", len(z), kernel.size - 1
-    timed = NegativeLogPosterior(kernel, x, z, extra, weak, noisy=True)
-    steady = NegativeLogPosterior(kernel.settable, x[:, :-1], z, extra, weak, noisy=True)
-    free = held_parameters(settings, kernel, 1.0)[1]
-    noises = [parameters[-1], *_NOISE_LEVELS[:3]] if free[-1] else [parameters[-1]]
-    levels = [
-        np.concatenate([parameters[:at], [scale, parameters[-2], noise]])
-        for scale in _TIME_SCALES
-        for noise in noises
-    ]
-    levels.sort(key=lambda level: timed(level)[0])
-    most = n * (min(steady(np.delete(p, at))[0] for p in levels) - timed(levels[0])[0])
-    if most <= 0.0:
-        return most
-
-    def best(
-        objective: NegativeLogPosterior, starts: list[FloatArray], moving: NDArray[np.bool_]
-    ) -> tuple[FloatArray, float]:
-        bounds = objective.bounds(settings.minimum_noise)
-        return train_lbfgs(
-            objective, np.array(starts), bounds, moving, _TOLERANCE / n, _EVIDENCE_STEPS
-        )
-
-    changing, with_time = best(timed, levels[:1], free)
-    plain = np.delete(parameters, at)
-    clear = np.append(plain[:-1], noises[-1])
-    constant, without = best(steady, [plain, clear], np.delete(free, at))
-    if n * (without - with_time) <= 0.0:
-        return n * (without - with_time)
-    densities = [
-        Posterior(
-            objective.kernel,
-            p[:-2],
-            float(np.exp(p[-2])),
-            objective.x,
-            z,
-            float(np.exp(p[-1])) + extra,
-        ).leave_one_out_log_density
-        for objective, p in ((timed, changing), (steady, constant))
-    ]
-    by_each = np.clip(densities[0] - densities[1], -1.0, 1.0).sum()
-    return float(min(n * (without - with_time), by_each))

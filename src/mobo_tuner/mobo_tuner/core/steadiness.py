@@ -1,0 +1,91 @@
+"""Whether a machine reads the same again: is it noisy, and does it drift?"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, replace
+
+from mobo_tuner.core.dataset import Dataset
+from mobo_tuner.core.gaussian_process import GaussianProcess
+from mobo_tuner.core.problem import Array
+from mobo_tuner.core.resolution import readings_differ
+
+_NOISY = 11.0  # log evidence from which on the machine is taken for noisy
+_DRIFTS = 10.0  # log evidence from which on the machine is taken to drift
+
+
+@dataclass(frozen=True)
+class Steadiness:
+    """Noise and drift of a machine: as the settings say, or by the evidence of all outputs together.
+
+    Attributes:
+        noise: Setting of the noise.
+        drift: Setting of the drift.
+        noise_evidence: Log evidence of noise at the last training.
+        drift_evidence: Log evidence of drift at the last training.
+    """
+
+    noise: str | float
+    drift: str
+    noise_evidence: float = 0.0
+    drift_evidence: float = 0.0
+
+    @property
+    def drifts(self) -> bool:
+        """Whether the machine changes with time."""
+        return self.drift == "on" or (self.drift == "auto" and self.drift_evidence > _DRIFTS)
+
+    @property
+    def learns_noise(self) -> bool:
+        """Whether the noise is learned and the evidence says that there is some."""
+        return isinstance(self.noise, str) and self.noise_evidence > _NOISY
+
+    def is_noisy(self, data: Dataset, outputs: Collection[str]) -> bool:
+        """Return whether the machine is noisy: as was said or told, or by the evidence.
+
+        Evidence is that readings differ at one place, or that no noiseless function explains them.
+
+        Args:
+            data: Evaluations.
+            outputs: Names of the modelled outputs.
+        """
+        if not isinstance(self.noise, str) and self.noise > 0.0:
+            return True
+        if any((data.stddev_column(name) > 0.0).any() for name in outputs):
+            return True
+        if self.learns_noise or self.drifts:
+            return self.learns_noise
+        return isinstance(self.noise, str) and data.once(readings_differ)
+
+    def with_noise_of(self, processes: Iterable[GaussianProcess], deadline: float) -> Steadiness:
+        """Return the steadiness with the evidence of noise in all outputs.
+
+        Args:
+            processes: Trained model of each output.
+            deadline: Time by which it must be known [s], of `time.monotonic`; else it stays as it was.
+        """
+        evidence = 0.0
+        for process in processes:
+            if time.monotonic() > deadline:
+                return self
+            if process.n:
+                evidence += max(process.noise_evidence(), 0.0)
+        return replace(self, noise_evidence=evidence)
+
+    def with_drift_of(
+        self, processes: Iterable[tuple[GaussianProcess, Array]], deadline: float
+    ) -> Steadiness:
+        """Return the steadiness with the evidence of drift in all outputs.
+
+        Args:
+            processes: Trained model of each output, and when its observations were measured ``(n,)``,
+                in units of time.
+            deadline: Time by which it must be known [s], of `time.monotonic`; else it stays as it was.
+        """
+        evidence = 0.0
+        for process, times in processes:
+            if time.monotonic() > deadline:
+                return self
+            evidence += max(process.drift_evidence(times), 0.0)
+        return replace(self, drift_evidence=evidence)
