@@ -98,6 +98,27 @@ def test_a_file_may_give_every_type(ros_domain: int, tmp_path: Path) -> None:
     assert dict(flat(section)).keys() <= expected.keys()
 
 
+@pytest.mark.parametrize("section", ["tuner", "/**"])
+def test_what_has_no_value_in_a_file_is_not_given(
+    ros_domain: int, tmp_path: Path, section: str
+) -> None:
+    quantities = {
+        "observables": {"x": {}, "y": None, "z": {"unit": "mm"}},
+        "objectives": {"f": {"reference": None, "invalid": [], "truncation": [0.5, 2.0]}},
+        "constraints": None,
+        "limits": {},
+    }
+    file = written(tmp_path / "a.yaml", {**quantities, "speed": 5.0, "mean": None}, section)
+    with node_with(ros_domain, "--ros-args", "--params-file", file) as node:
+        assert given_parameters(node) == {
+            "observables.x.unit": "",  # named by an entry that all quantities can have
+            "observables.y.unit": "",
+            "observables.z.unit": "mm",
+            "objectives.f.truncation": [0.5, 2.0],
+            "speed": 5.0,
+        }
+
+
 @pytest.mark.parametrize("section", ["tuner", "/tuner", "/**/tuner", "/**"])
 @pytest.mark.parametrize("first", [True, False], ids=["before", "after"])
 def test_the_command_line_wins_over_the_files(

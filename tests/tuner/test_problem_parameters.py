@@ -78,6 +78,14 @@ def test_null_unsets_what_is_optional(start: Start) -> None:
     assert isinstance(parameters.problem, Problem)
 
 
+def test_unsetting_all_of_a_quantity_does_not_remove_it(start: Start) -> None:
+    parameters = ProblemParameters(start(GIVEN))
+    parameters.accept({"objectives.f.truncation": "null", "objectives.f.reference": "null"})
+    assert [objective.name for objective in parameters.problem.objectives] == ["f"]
+    with pytest.raises(ProblemError, match=r"constraints\.g"):
+        parameters.with_changes({"constraints.g.max": "null"})
+
+
 @pytest.mark.parametrize("section", SECTIONS)
 def test_the_table_of_parameters_is_what_a_problem_accepts(section: str) -> None:
     problem: dict[str, Any] = {

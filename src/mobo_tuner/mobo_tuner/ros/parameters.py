@@ -12,6 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import yaml
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 
@@ -23,6 +24,7 @@ from mobo_tuner.parameter_spec import ParameterSpec, unknown
 EVERY_NODE = "/**"
 """Section of a parameter file that all nodes take."""
 _OF_ROS = ("use_sim_time", "start_type_description_service")
+_GAPS: tuple[object, ...] = (None, {}, [])
 _NEARLY = 0.8  # similarity above which a name counts as another one misspelt
 
 
@@ -30,7 +32,8 @@ _NEARLY = 0.8  # similarity above which a name counts as another one misspelt
 def as_node_arguments(arguments: Sequence[str], name: str = "") -> Iterator[list[str]]:
     """Yield the command line of a program with one node, as rclpy must get it.
 
-    It differs in two ways. A `-p name:=value` wins over every section of the parameter files, whereas
+    It differs in three ways. What has no value in a file is left out, whereas ROS refuses the file or
+    the node. A `-p name:=value` wins over every section of the parameter files, whereas
     ROS lets it yield to the section of the node. And a node that is renamed or in a namespace takes
     the section of its original name in each file without a section of its own but `/**`, whereas ROS
     ignores that section.
@@ -41,7 +44,7 @@ def as_node_arguments(arguments: Sequence[str], name: str = "") -> Iterator[list
     """
     node = _full_name(arguments, name)
     with ExitStack() as files:
-        words = _with_own_section(arguments, name, node, files)
+        words = _with_own_section(_without_gaps(arguments, files), name, node, files)
         given = _assigned(arguments, {name, node, node.rpartition("/")[2]} - {""})
         if given:
             lines = [f"    {key}: {value}" for key, value in given.items()]
@@ -78,6 +81,33 @@ def _assigned(arguments: Sequence[str], names: Collection[str]) -> dict[str, str
         ):
             given[parameter] = value
     return given
+
+
+def _without_gaps(arguments: Sequence[str], files: ExitStack) -> list[str]:
+    """Leave out of each file what has no value, such as `{}`, `[]` and null."""
+    words = list(arguments)
+    for position, (flag, path) in enumerate(pairwise(arguments), start=1):
+        content = _content(path) if flag == "--params-file" else {}
+        filled = {key: _filled(section) for key, section in content.items()}
+        if filled != content:
+            words[position] = _temporary(yaml.safe_dump(filled, sort_keys=False), files)
+    return words
+
+
+def _filled(entry: Any, depth: int = 0) -> Any:
+    """Return a section without entries that have no value; `depth` counts the mappings above it.
+
+    ROS knows the name of a quantity, as in `observables: {x: {}}`, only by an entry below it: the one
+    that all quantities can have is the unit.
+    """
+    if not isinstance(entry, Mapping):
+        return entry
+    inside = {key: _filled(value, depth + 1) for key, value in entry.items()}
+    if depth == 2:
+        return {key: value if value not in _GAPS else {"unit": ""} for key, value in inside.items()}
+    if depth == 0:
+        return inside
+    return {key: value for key, value in inside.items() if value not in _GAPS}
 
 
 def _with_own_section(
@@ -178,7 +208,7 @@ def refuse_undeclared(node: Node, given: Iterable[str], *, misspelt: bool = Fals
 
 def _common_names(content: Mapping[Any, Any]) -> Iterator[str]:
     """Yield the names of the parameters in the section for every node."""
-    section = content.get(EVERY_NODE)
+    section = _filled(content.get(EVERY_NODE))
     parameters = section.get("ros__parameters") if isinstance(section, Mapping) else None
     if isinstance(parameters, Mapping):
         for name, _ in flat(parameters):

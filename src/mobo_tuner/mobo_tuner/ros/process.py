@@ -111,13 +111,16 @@ def run_node(
     if {"-h", "--help"} & {*sys.argv[1:]}:
         print(program.help)
         return 0
-    others = remove_ros_args(sys.argv)[1:]
-    if others:
-        print(f"cannot start: the argument '{others[0]}' is unknown; see --help", file=sys.stderr)
-        return 2
     stop = _StopRequest(deferred=on_interrupt is not None)
     try:
         with as_node_arguments(sys.argv, program.name) as arguments:
+            others = remove_ros_args(arguments)[1:]
+            if others:
+                print(
+                    f"cannot start: the argument '{others[0]}' is unknown; see --help",
+                    file=sys.stderr,
+                )
+                return 2
             rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy raises many kinds for an unreadable parameter file
         print(f"cannot start: {_first_line(error)}", file=sys.stderr)

@@ -80,6 +80,14 @@ QUANTITY_PARAMETERS = tuple(
             "the machine's range; the machine's limits, min and max are walls.",
         ),
         ("variables", "cost", "number >= 0, 1.0", "Relative cost of a change of it.", True),
+        (
+            "variables",
+            "approach",
+            "number >= 0, 0.0",
+            "Distance from which 'go' approaches a working point, from the side from which its evaluation "
+            "was, for hysteresis; 0 = from wherever the machine is.",
+            True,
+        ),
         ("variables", "unit", "text, empty", _UNIT),
         (
             "limits",
@@ -149,13 +157,12 @@ class ProblemParameters:
     """
 
     def __init__(self, node: Node) -> None:
-        self._values: dict[str, Any] = {}
+        self._values: dict[str, Any] = {}  # also of entries that are unset
         for section in SECTIONS:
             given: Mapping[str, Any] = node.get_parameters_by_prefix(section)
             for key, given_parameter in given.items():
                 name = f"{section}.{key}"
-                if not _is_unset(given_parameter.value):
-                    self._values[name] = _plain(given_parameter.value)
+                self._values[name] = _plain(given_parameter.value)
                 node.set_descriptor(name, _descriptor(name))
         self._given = self.problem = Problem.from_dict(_nested(self._values))
         self._resolve: Callable[[Problem], Problem] = lambda problem: problem
@@ -206,8 +213,7 @@ class ProblemParameters:
         for name, value in changes.items():
             if value is None:
                 raise ProblemError(f"{name} cannot be deleted; '{NULL}' unsets it")
-        values = {**self._values, **{name: _plain(value) for name, value in changes.items()}}
-        return {name: value for name, value in values.items() if not _is_unset(value)}
+        return {**self._values, **{name: _plain(value) for name, value in changes.items()}}
 
 
 def _is_unset(value: Any) -> bool:
@@ -234,7 +240,7 @@ def _plain(value: Any) -> Any:
 
 
 def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the mapping that a file would hold."""
+    """Return the mapping that a file would hold; what has only unset entries is still named."""
     nested: dict[str, Any] = {}
     for name, value in values.items():
         branch = nested
@@ -243,5 +249,6 @@ def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
             branch = branch.setdefault(part, {})
             if not isinstance(branch, dict):
                 raise ProblemError(f"'{name}' stands below a value")
-        branch[leaf] = value
+        if not _is_unset(value):
+            branch[leaf] = value
     return nested
