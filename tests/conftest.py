@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -13,14 +14,33 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from launcher import watchdog
 from launcher.ros_domain import RosDomain
-from tests.support.processes import TIMEOUT, NodeProcess, NodeStarter
+from tests.support.processes import (
+    TIMEOUT,
+    NodeProcess,
+    NodeStarter,
+    end_with_this_process,
+)
 from tests.support.tuner import CONFIG, GoalClient, Services, tune_client
 
 # Loading the support of a ROS type imports lark, whose deprecated imports we cannot change.
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
     import lark  # noqa: F401
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let no process outlive the tests, however they end."""
+    process = end_with_this_process()
+    if process is None:
+        return
+
+    def wait() -> None:
+        process.communicate(timeout=watchdog.PATIENCE + 10.0)
+        os.environ.pop(watchdog.MARKER, None)
+
+    config.add_cleanup(wait)
 
 
 @pytest.fixture
