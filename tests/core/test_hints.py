@@ -126,6 +126,24 @@ def test_what_the_models_cannot_explain_is_told() -> None:
     assert "shots" in hint
 
 
+def test_noise_that_is_larger_than_the_gain_is_told() -> None:
+    def tuned(noise: float) -> Optimizer:
+        """A run of two objectives whose best points are close to each other."""
+        rng = np.random.default_rng(1)
+        optimizer = Optimizer(problem({"f": {"reference": 10.0}, "g": {"reference": 10.0}}), seed=1)
+        for _ in range(40):
+            setpoint = optimizer.ask()
+            x, y = setpoint["x"], setpoint["y"]
+            values = {"f": (x - 1.0) ** 2 + y**2, "g": (x - 0.7) ** 2 + y**2}
+            optimizer.tell(setpoint, {n: v + rng.normal(0.0, noise) for n, v in values.items()})
+        return optimizer
+
+    assert tuned(0.0).hints() == tuned(0.02).hints() == []
+    hint, *_ = tuned(0.6).hints()
+    assert "the noise of f is larger than the gain" in hint
+    assert "shots" in hint
+
+
 def test_a_reference_left_out_is_inferred_once_and_stays() -> None:
     left_out = problem({"f": {}, "g": {"direction": "maximize"}, "h": {"reference": 7.0}})
     optimizer = Optimizer(left_out, seed=3)

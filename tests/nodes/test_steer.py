@@ -64,7 +64,7 @@ def test_a_run_is_steered(shell: Shell) -> None:
     console = shell.tune()
     wait_until(lambda: len(console.stdout.splitlines()) >= 6, "evaluations", 60.0)
     assert "evaluation" in shell("pause")
-    assert shell("status").startswith("paused; run ")
+    wait_until(lambda: shell("status").startswith("paused; run "), "the end of the evaluation")
     assert shell("queue", "x1=0.5", "x2=-1e-1") == "set-points in the queue: 1\n"
     view = shell.begin("watch")
     wait_until(lambda: "evaluation" in view.stdout, "the view")

@@ -174,6 +174,15 @@ def test_skip_ends_the_evaluation_in_flight_and_no_other(
     assert not refused.success
     assert refused.message == "'skip' needs an evaluation in flight; there is none"
     assert desk.queue(x1=0.25, x2=0.5).success
+    # The machine has measured when it is to stop: the evaluation counts, and the answer says so.
+    desk.machine.held = desk.machine.finishes = True
+    desk.ask("step")
+    desk.spin_until(lambda: len(desk.machine.goals) == 3, "an evaluation in flight")
+    late = desk.services.trigger("skip")
+    assert not late.success
+    assert late.message == "'skip' comes too late: evaluation 2 had ended"
+    desk.until_paused(3)
+    desk.machine.held = False
     desk.ask("resume")
     assert desk.client.wait().error_code == 0
     assert [goal.index for goal in desk.machine.goals] == [0, 1, 2, 3, 4]

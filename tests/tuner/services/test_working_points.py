@@ -13,9 +13,9 @@ import pytest
 from rclpy.node import Node
 
 from mobo_msgs_py import msg
-from mobo_msgs_py.action import ApplySetpoint, GoToWorkingPoint, Tune
+from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint, GoToWorkingPoint, Tune
 from mobo_msgs_py.srv import ListWorkingPoints
-from mobo_tuner.machine.double import MachineDouble
+from mobo_tuner.machine.double import Answer, MachineDouble
 from mobo_tuner.ros.qos import LATCHED, STREAM
 from mobo_tuner.runs.history import History
 from tests.support.processes import NodeProcess
@@ -26,11 +26,13 @@ from tests.support.tuner import (
     Services,
     journal,
     toy_machine,
+    toy_values,
     tune_client,
 )
 
 Goal = GoToWorkingPoint.Goal
 CODES = GoToWorkingPoint.Result
+VIOLATING: list[dict[str, float]] = []  # set-points that violate a critical limit
 
 
 @pytest.fixture
@@ -291,13 +293,15 @@ def test_bounds_fence_the_way_to_a_point_and_a_word_leads_across_them(
     node: Node,
     tmp_path: Path,
 ) -> None:
-    machine = toy_machine(node)
+    machine = toy_machine(node, answer_but_violate_in_the_third)
     start = {"x1": 0.5, "x2": -0.5}
     machine.position = dict(start)
     tuner = start_tuner("initial_evaluations:=20", "on_abort:=best")
     client.send(Tune.Goal(run_id="wide", evaluations=10))
     front = client.wait().pareto_front.points
     check_other_places(mover, machine, start, {point.index for point in front})
+    check_a_violation(mover, machine)
+    check_approach(mover, services, tmp_path)
     far = max(front, key=lambda point: values(point.setpoint)["x1"])
     where = values(far.setpoint)
     limit = where["x1"] - 0.001
@@ -346,6 +350,46 @@ def test_bounds_fence_the_way_to_a_point_and_a_word_leads_across_them(
     [*_, point] = listed(services, False).measured.points
     mover.send(Goal(index=point.index))
     assert mover.wait().run_id == "narrow"
+
+
+def answer_but_violate_in_the_third(goal: EvaluateSetpoint.Goal) -> Answer:
+    """Measure the toy problem; the third set-point violates a critical limit, whenever it is measured."""
+    if (goal.run_id, goal.index) == ("wide", 2):
+        VIOLATING.append(values(goal.setpoint))
+    if values(goal.setpoint) in VIOLATING:
+        return Answer({}, EvaluateSetpoint.Result.VIOLATION, "f1 = 9 in one shot is outside")
+    return Answer(toy_values(goal))
+
+
+def check_a_violation(mover: GoalClient, machine: MachineDouble) -> None:
+    """Go to the point that violated a critical limit, which takes a word, and does so again."""
+    before = dict(machine.position)
+    mover.send(Goal(index=2))
+    result = mover.wait()
+    assert result.error_code == CODES.INVALID_GOAL
+    assert "point 2 violated a critical limit: f1 = 9 in one shot is outside" in result.error_msg
+    assert machine.position == before
+    mover.send(Goal(index=2, anyway=True, measure=True))
+    result = mover.wait()
+    assert (result.error_code, list(result.measured)) == (CODES.NONE, [])
+    assert result.error_msg == "point 2 was not measured: f1 = 9 in one shot is outside"
+    assert machine.position == VIOLATING[0]
+
+
+def check_approach(mover: GoalClient, services: Services, tmp_path: Path) -> None:
+    """Go to a point from the side from which its evaluation was."""
+    assert services.set(variables__x2__approach=0.125).successful
+    mover.send(Goal(index=6))
+    assert mover.wait().error_code == CODES.NONE
+    history = History.from_records(journal(tmp_path, "wide"))
+    earlier, there = history.evaluations[5].setpoint, history.evaluations[6].setpoint
+    (first, _), (second, _) = history.moves[-2:]
+    assert second.setpoint == there
+    back = earlier["x2"] - there["x2"]
+    assert abs(back) > 0.125
+    assert first.setpoint["x1"] == there["x1"]
+    assert first.setpoint["x2"] == pytest.approx(there["x2"] + math.copysign(0.125, back))
+    assert services.set(variables__x2__approach=0.0).successful
 
 
 def check_other_places(

@@ -205,6 +205,7 @@ class Arrival:
         units: Units of variables and diagnostics.
         evaluations: Number of evaluations spent on holding the point.
         measured: Means of what was measured at the point, by name; empty if nothing was.
+        failure: Reason why nothing was measured; empty if something was, or was not to be.
     """
 
     run_id: str
@@ -213,6 +214,7 @@ class Arrival:
     units: Mapping[str, str]
     evaluations: int
     measured: Mapping[str, float] = field(default_factory=dict)
+    failure: str = ""
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,8 @@ FEWEST = 20
 """Least number of readings by which a model is judged."""
 FEWEST_PER_VARIABLE = 10
 """The same for each variable."""
+FEWEST_ON_FRONT = 3
+"""Least number of points by which the range of the front is judged."""
 UNEXPLAINED = 0.9
 """Share of the readings' spread by which predictions are off where the model predicts badly.
 
@@ -37,16 +39,21 @@ def hints(data: Dataset, belief: Belief) -> list[str]:
     return _constraints(data, belief) + _references(problem, belief) + _alike(data)
 
 
-def doubts(models: Mapping[str, GaussianProcess], problem: Problem) -> list[str]:
+def doubts(models: Mapping[str, GaussianProcess], belief: Belief, *, noisy: bool) -> list[str]:
     """Return which outputs the models cannot explain, be it for noise or for what is not a variable.
 
     A prediction is that from all other readings, with the hyperparameters of the last training.
 
     Args:
         models: Trained models by their outputs.
-        problem: Problem of which they are.
+        belief: What they believe of the evaluations.
+        noisy: Whether the readings are believed to be noisy.
     """
-    sentences = []
+    sentences, problem = [], belief.problem
+    front = belief.objectives[belief.front_rows()]
+    gains: dict[str, float] = {}
+    if noisy and len(front) >= FEWEST_ON_FRONT:
+        gains = dict(zip(problem.objective_names, np.ptp(front, axis=0), strict=True))
     fewest = max(FEWEST, FEWEST_PER_VARIABLE * len(problem.variables))
     for name, model in models.items():
         if model.n < fewest or model.is_constant:
@@ -60,6 +67,11 @@ def doubts(models: Mapping[str, GaussianProcess], problem: Problem) -> list[str]
                 f"the model predicts {name} badly: it is off by {error:.3g}, and the readings differ by "
                 f"{spread:.3g}; queue one set-point twice: if its readings differ as much, the noise is larger "
                 "than the gain, so take more shots; else something else changes it, such as drift"
+            )
+        elif error > gains.get(name, math.inf):
+            sentences.append(
+                f"the noise of {name} is larger than the gain: readings are off by {error:.3g}, and on the "
+                f"front {name} differs by {gains[name]:.3g}; take more shots, or end the run"
             )
     return sentences
 

@@ -240,7 +240,8 @@ class Optimizer:
         archive = self.archive
         if archive.models.ready and len(archive.dataset) >= self._judged_at + JUDGE_PERIOD:
             self._judged_at = len(archive.dataset)
-            self._doubts = doubts(archive.models.by_output, archive.problem)
+            noisy = not archive.models.trusts_readings(archive.dataset)
+            self._doubts = doubts(archive.models.by_output, archive.belief, noisy=noisy)
         return hints(archive.dataset, archive.belief) + self._doubts
 
     @overload

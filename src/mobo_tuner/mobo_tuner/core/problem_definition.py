@@ -26,6 +26,9 @@ from mobo_tuner.core.values import (
     describe,
 )
 
+_OF_VARIABLES = (
+    *("min", "max", "unit", "cost", "step", "choices", "scale", "fixed", "around", "approach"),
+)
 SECTIONS = ("variables", "limits", "derived", "objectives", "constraints", "observables")
 MOST_VALUES = 2_000_000
 """Largest number of values on the grid of a variable."""
@@ -98,6 +101,7 @@ def definition_of(quantities: Quantities) -> dict[str, dict[str, dict[str, Any]]
             | ({"fixed": v.fixed} if v.fixed is not None else {})
             | ({"fixed": PRESENT} if v.at_present else {})
             | ({"around": v.around} if v.around is not None else {})
+            | ({"approach": v.approach} if v.approach else {})
             for v in quantities.variables
         },
         "objectives": {
@@ -162,9 +166,7 @@ def _section(parameters: Mapping[str, Any], name: str) -> Mapping[str, Mapping[s
 
 def _variable(name: str, entry: Mapping[str, Any]) -> Variable:
     where = f"variables.{name}"
-    check_names(
-        where, entry, ("min", "max", "unit", "cost", "step", "choices", "scale", "fixed", "around")
-    )
+    check_names(where, entry, _OF_VARIABLES)
     scale = _scale(where, entry)
     at_present = entry.get("fixed") == PRESENT
     fixed = None
@@ -178,9 +180,8 @@ def _variable(name: str, entry: Mapping[str, Any]) -> Variable:
         low, high = _walls(where, entry)
     else:
         low, high = _bounds(where, entry, choices, fixed, scale)
-    cost = as_number(f"{where}.cost", entry.get("cost", 1.0))
-    if cost < 0.0:
-        raise ProblemError(f"{where}.cost is {cost:g}, which must not be negative")
+    cost = _not_negative(where, entry, "cost", 1.0)
+    approach = _not_negative(where, entry, "approach", 0.0)
     if fixed is not None and not low <= fixed <= high:
         raise ProblemError(f"{where}.fixed is {fixed:g}; {low:g} to {high:g} is allowed")
     step = _step(
@@ -190,12 +191,19 @@ def _variable(name: str, entry: Mapping[str, Any]) -> Variable:
         raise ProblemError(f"{where} has a step and choices; one of the two is allowed")
     unit = as_string(f"{where}.unit", entry.get("unit", ""))
     variable = Variable(
-        name, low, high, unit, cost, step, choices, scale, fixed, around, at_present
+        name, low, high, unit, cost, step, choices, scale, fixed, around, at_present, approach
     )
     if not variable.is_open and variable.values is not None and not len(variable.values):
         kind = f"multiple of the step {step:g}" if step else "of its choices"
         raise ProblemError(f"{where}.min to max is {low:g} to {high:g}, with no {kind} in between")
     return variable
+
+
+def _not_negative(where: str, entry: Mapping[str, Any], key: str, default: float) -> float:
+    value = as_number(f"{where}.{key}", entry.get(key, default))
+    if value < 0.0:
+        raise ProblemError(f"{where}.{key} is {value:g}, which must not be negative")
+    return value
 
 
 def _around(where: str, entry: Mapping[str, Any]) -> float | str | None:

@@ -36,6 +36,8 @@ class Variable:
         around: Distance of the bounds from where the machine is at the start of a run [`unit`], or a
             share of the machine's range, such as "10 %"; None = the bounds are known.
         at_present: Whether it is fixed where the machine is at the start of a run.
+        approach: Distance from which a working point is approached, from the side from which its
+            evaluation was [`unit`]; 0 = from wherever the machine is.
     """
 
     name: str
@@ -49,6 +51,7 @@ class Variable:
     fixed: float | None = None
     around: float | str | None = None
     at_present: bool = False
+    approach: float = 0.0
 
     @property
     def is_open(self) -> bool:

@@ -56,6 +56,7 @@ class MachineDouble:
         position: Current set-point; empty before the first goal.
         held: Whether evaluations wait, sending feedback, until this is false or they are canceled.
         silent: Whether evaluations wait without feedback, ignoring cancels.
+        finishes: Whether a cancel comes too late: an evaluation that is canceled ends with its answer.
         identity: Function that gives the run id, index and attempt that a result carries; by default
             those of the goal.
     """
@@ -74,6 +75,7 @@ class MachineDouble:
         self.position: dict[str, float] = {}
         self.held = False
         self.silent = False
+        self.finishes = False
         self.identity: Callable[[EvaluateSetpoint.Goal], tuple[str, int, int]] = lambda goal: (
             goal.run_id,
             goal.index,
@@ -110,7 +112,7 @@ class MachineDouble:
             await first_of(self._node, timeout=PERIOD)
         self.position = values_of(request.setpoint)
         values, code, text = self.answer(request)
-        if goal.canceled:
+        if goal.canceled and not self.finishes:
             values, code, text = {}, _Result.CANCELED, "a client stopped the machine"
         run_id, index, attempt = self.identity(request)
         pairs = {n: v if isinstance(v, tuple) else (v, math.nan) for n, v in values.items()}

@@ -320,7 +320,7 @@ def main() -> None:
 def _comparison(arrival: Arrival) -> str:
     """Return what a point promises beside what was measured there, one objective per line."""
     if not arrival.measured:
-        return "nothing could be measured there: see the log of the tuner"
+        return arrival.failure
     rows = [["", "promised", "measured now", "difference"]]
     promises = arrival.point.objectives or dict.fromkeys(arrival.measured, math.nan)
     for name, promised in promises.items():

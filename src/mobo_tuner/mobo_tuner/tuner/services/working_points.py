@@ -217,6 +217,9 @@ class WorkingPoints:
         self, choice: Choice, interrupt: Future, goal: Goal, result: GoToWorkingPoint.Result
     ) -> None:
         await self._meet_machine(choice.run, interrupt)
+        beside = self._beside(choice)
+        if beside is not None:
+            await self._move(choice, beside, None, interrupt, goal, result)
         await self._move(choice, choice.target, choice.place.index, interrupt, goal, result)
         if choice.measure:
             await self._measure(choice, interrupt, goal, result)
@@ -238,6 +241,34 @@ class WorkingPoints:
             count,
         )
         await self._move(choice, Target(best), None, interrupt, goal, result)
+
+    def _beside(self, choice: Choice) -> Target | None:
+        """Return from where to approach a point: on the side from which its evaluation was, if not afar.
+
+        Returns:
+            None if no variable has to be approached, or if it is not allowed to be there.
+        """
+        run, index, target = choice.run, choice.place.index, choice.target
+        if index is None:
+            return None
+        earlier = run.records[index - 1][1].setpoint if index else run.state_before
+        setpoint = dict(target.setpoint)
+        for variable in self._context.gate.bounds.variables:
+            if earlier is not None and variable.name in earlier:
+                value, reach = setpoint[variable.name], variable.approach
+                back = earlier[variable.name] - value
+                setpoint[variable.name] = value + min(max(back, -reach), reach)
+        beside = Target(setpoint, target.anyway)
+        if setpoint == target.setpoint:
+            return None
+        try:
+            self._context.gate.check(beside)
+        except BoundsError as error:
+            self._context.log.warning(
+                f"{choice.place.name} is not approached as its evaluation was: {error}"
+            )
+            return None
+        return beside
 
     async def _meet_machine(self, run: Run, interrupt: Future) -> None:
         """Check that the machine is there and suits the run.
@@ -350,7 +381,8 @@ class WorkingPoints:
             raise RunError(_CODES.MACHINE_LOST, str(error)) from None
         _check(interrupt)
         if answer.error_code != EvaluateSetpoint.Result.NONE:
-            context.log.warning(f"the point was not measured: {answer.error_msg}")
+            result.error_msg = f"{choice.place.name} was not measured: {answer.error_msg}"
+            context.log.warning(result.error_msg)
             return
         means = {name: mean for name, (mean, _) in answer.diagnostics.items()}
         stddevs = {name: stddev for name, (_, stddev) in answer.diagnostics.items()}
