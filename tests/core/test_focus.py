@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,6 +35,28 @@ def test_holding_a_point_finds_the_best_around_it_also_after_a_drift(drift: floa
         start, reached, best = _held(problem, seed, drift)
         gained, possible = gained + start - reached, possible + start - best
     assert gained > 0.75 * possible
+
+
+def test_holding_stays_inside_the_bounds_and_limits_of_now() -> None:
+    mapping: dict[str, Any] = {
+        "variables": {name: {"min": -2.0, "max": 2.0} for name in ("x1", "x2", "x3")},
+        "limits": {"total": {"x1": 1.0, "x2": 1.0, "max": 4.0}},
+        "objectives": {name: {"reference": 9.0} for name in ("f1", "f2")},
+    }
+    optimizer = Optimizer(Problem.from_dict(mapping), seed=1)
+    point = {"x1": 0.5, "x2": 0.25, "x3": 0.125}
+    optimizer.tell(point, toy(point, 0.0))
+    mapping["variables"]["x1"]["max"] = 0.6
+    mapping["variables"]["x3"]["fixed"] = 1.0
+    mapping["limits"] = {"total": {"x1": 1.0, "x2": 1.0, "max": 0.8}}
+    now = Problem.from_dict(mapping)
+    focused = optimizer.focus(index=0, radius=0.5, bounds=now)
+    for _ in range(12):
+        x = focused.ask()
+        assert x["x1"] <= 0.6
+        assert x["x1"] + x["x2"] <= 0.8 + 1e-9
+        assert x["x3"] == point["x3"]
+        focused.tell(x, toy(x, 0.0))
 
 
 def _held(problem: Problem, seed: int, drift: float) -> tuple[float, float, float]:

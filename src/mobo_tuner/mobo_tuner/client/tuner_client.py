@@ -370,6 +370,12 @@ class TunerClient:
             return
         for name in wanted:
             self.get(name)  # a name that is unknown has a sentence of its own
+        if "read-only parameter" in result.reason:  # the sentence is that of rclpy
+            name = result.reason.rstrip(".").rpartition(" ")[2]
+            raise TunerError(
+                ErrorCode.REFUSED,
+                f"{name} is read when the tuner starts: set it in the parameter file, for the next run",
+            )
         raise TunerError(ErrorCode.REFUSED, result.reason)
 
     def get(self, name: str) -> Any:

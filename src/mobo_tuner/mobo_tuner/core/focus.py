@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mobo_tuner.core.problem import FARTHEST, LARGEST, Problem, ProblemError, as_float
+from mobo_tuner.core.quantities import Limit
 
 LEAST_RADIUS = 10.0 / FARTHEST
 """Smallest radius of a focus, as a fraction of a variable's range.
@@ -76,7 +77,8 @@ def around(
         problem: Problem to reduce.
         setpoint: Centre of the neighbourhood.
         radius: Half-width of the new bounds, as a fraction of each range.
-        bounds: Problem whose bounds must hold, too, such as those of now.
+        bounds: Problem whose bounds and limits must hold, too, such as those of now. What it fixes stays
+            where the set-point has it.
 
     Raises:
         ProblemError: If the radius is not between `LEAST_RADIUS` and 1, the set-point is outside the
@@ -104,8 +106,22 @@ def around(
                 half = radius * (v.maximum - v.minimum)
                 least, most = center - half, center + half
             low, high = max(low, least), min(high, most)
-        variables.append(replace(v, minimum=low, maximum=high))
-    return Problem.from_dict(replace(problem, variables=tuple(variables)).to_dict())
+        fixed = center if v.fixed is None and other.fixed is not None else v.fixed
+        variables.append(replace(v, minimum=low, maximum=high, fixed=fixed))
+    limits = problem.limits if bounds is None else _limits(problem, bounds)
+    return Problem.from_dict(replace(problem, variables=tuple(variables), limits=limits).to_dict())
+
+
+def _limits(problem: Problem, bounds: Problem) -> tuple[Limit, ...]:
+    """Return the limits of two problems, as far as they concern the variables of the first one.
+
+    Of two limits of one name, that of the second holds.
+    """
+    both = {limit.name: limit for limit in (*problem.limits, *bounds.limits)}
+    known = {*problem.variable_names}
+    return tuple(
+        limit for limit in both.values() if all(name in known for name, _ in limit.coefficients)
+    )
 
 
 def _checked_weights(problem: Problem, weights: Mapping[str, float]) -> np.ndarray[Any, Any]:
