@@ -402,6 +402,8 @@ class Shift:
         )
         told = self._call(Tell, "tell", request)
         require(told.success or told.message, "a refusal has no reason")
+        if not self._running:
+            self._spin(lambda: self._model.status.run_id == asked.run_id, "a status of that run")
 
     def _start_recorder(self) -> None:
         """Start a recorder, unless one lives, and wait until the tuner says that it records."""

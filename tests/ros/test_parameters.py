@@ -98,6 +98,22 @@ def test_a_file_may_give_every_type(ros_domain: int, tmp_path: Path) -> None:
     assert dict(flat(section)).keys() <= expected.keys()
 
 
+@pytest.mark.parametrize("section", ["tunner", "/**/tner", "/tuners"])
+def test_a_misspelt_section_is_refused(tmp_path: Path, section: str) -> None:
+    file = written(tmp_path / "a.yaml", {"count": 4}, section)
+    words = ["program", "--ros-args", "--params-file", file]
+    with (
+        pytest.raises(ParameterError, match=r"did you mean 'tuner'"),
+        as_node_arguments(words, "tuner"),
+    ):
+        pass
+    with as_node_arguments(words, "recorder"):  # a file may be for several nodes
+        pass
+    second = written(tmp_path / "b.yaml", {"count": 4}, "/**/tuner2")
+    with as_node_arguments(["program", "--ros-args", "--params-file", second], "tuner"):
+        pass
+
+
 @pytest.mark.parametrize("section", ["tuner", "/**"])
 def test_what_has_no_value_in_a_file_is_not_given(
     ros_domain: int, tmp_path: Path, section: str

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mobo_tuner.runs.journal import FILE_NAME, Journal, JournalError, read_journal
+from mobo_tuner.runs.journal import FILE_NAME, Journal, JournalError, append_record, read_journal
 
 START = {
     "type": "start",
@@ -68,6 +68,7 @@ def test_numbers_that_are_not_finite_become_null_and_the_json_is_strict(tmp_path
         "array": [1.0, None],
         "flag": True,
         "index": 7,
+        "line": 2,
     }
 
 
@@ -156,6 +157,18 @@ def test_a_damaged_earlier_line_is_an_error_that_names_it(tmp_path: Path) -> Non
     with pytest.raises(JournalError, match="line 2 of the journal") as caught:
         read_journal(tmp_path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("order", ["acd", "abbcd", "acbd", "abd"])
+def test_a_line_that_is_missing_or_was_moved_is_an_error(tmp_path: Path, order: str) -> None:
+    with Journal.create(tmp_path, [START, {"type": "change", "index": 0}]) as journal:
+        journal.append({"type": "queued"})
+    append_record(tmp_path, {"type": "end"})
+    assert [r["type"] for r in read_journal(tmp_path)] == ["start", "change", "queued", "end"]
+    lines = dict(zip("abcd", journal.path.read_bytes().splitlines(), strict=True))
+    journal.path.write_bytes(b"\n".join(lines[name] for name in order))
+    with pytest.raises(JournalError, match="is missing, or was moved"):
+        read_journal(tmp_path)
 
 
 @pytest.mark.parametrize("content", [b"", b"\n\n", b'{"type": "end"}\n', b"broken"])

@@ -71,6 +71,7 @@ def test_a_loop_of_ones_own_gets_what_the_library_would_ask(
     start_tuner("seed:=5", "initial_evaluations:=4")
     evaluations = Listener(node, msg.Evaluation, "evaluation", STREAM)
     fronts = Listener(node, msg.ParetoFront, "pareto_front", LATCHED)
+    statuses = Listener(node, msg.TunerStatus, "status", LATCHED)
     oracle = Optimizer(Problem.from_yaml(CONFIG / "toy.yaml"), seed=5, initial_evaluations=4)
     for index in range(8):
         asked = loop.ask()
@@ -100,6 +101,8 @@ def test_a_loop_of_ones_own_gets_what_the_library_would_ask(
     spin_until(lambda: len(evaluations.messages) == 11, "all evaluations")
     run_id = evaluations.messages[0].run_id
     assert {m.run_id for m in evaluations.messages} == {run_id}
+    spin_until(lambda: statuses.messages[-1].evaluations == 11, "the status of that run")
+    assert (statuses.messages[-1].run_id, statuses.messages[-1].budget) == (run_id, 0)
     listed = services.call(ListWorkingPoints, "list_working_points").measured
     assert listed.run_id == run_id
     assert [p.index for p in listed.points] == [p.index for p in fronts.messages[-1].points]

@@ -374,7 +374,7 @@ class TunerClient:
             name = result.reason.rstrip(".").rpartition(" ")[2]
             raise TunerError(
                 ErrorCode.REFUSED,
-                f"{name} is read when the tuner starts: set it in the parameter file, for the next run",
+                f"{name} is read when the tuner starts: set it in the parameter file before",
             )
         raise TunerError(ErrorCode.REFUSED, result.reason)
 

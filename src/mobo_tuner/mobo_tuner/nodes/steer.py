@@ -339,8 +339,9 @@ def _aligned(rows: Sequence[Sequence[str]]) -> str:
 
 def _counts(now: Status) -> str:
     """Return the counts of a run as text."""
+    done = f"{now.evaluations} of {now.budget}" if now.budget else f"{now.evaluations}"
     return (
-        f"{now.evaluations} of {now.budget} evaluations, {now.feasible} feasible, "
+        f"{done} evaluations, {now.feasible} feasible, "
         f"{now.failed} failed, hypervolume {now.hypervolume:.6g}"
     )
 

@@ -41,8 +41,12 @@ def as_node_arguments(arguments: Sequence[str], name: str = "") -> Iterator[list
     Args:
         arguments: Command line of the node's process.
         name: Name of the node, unless it is renamed.
+
+    Raises:
+        ParameterError: If a section of a file has nearly the node's name, and none has it.
     """
     node = _full_name(arguments, name)
+    _refuse_misspelt_sections(arguments, name, node)
     with ExitStack() as files:
         words = _with_own_section(_without_gaps(arguments, files), name, node, files)
         given = _assigned(arguments, {name, node, node.rpartition("/")[2]} - {""})
@@ -81,6 +85,23 @@ def _assigned(arguments: Sequence[str], names: Collection[str]) -> dict[str, str
         ):
             given[parameter] = value
     return given
+
+
+def _refuse_misspelt_sections(arguments: Sequence[str], name: str, node: str) -> None:
+    names = {name, node.rpartition("/")[2]} - {""}
+    for flag, path in pairwise(arguments):
+        sections = [*_content(path)] if flag == "--params-file" else []
+        last = {str(section).rpartition("/")[2]: section for section in sections}
+        if names & last.keys():
+            continue
+        for meant in sorted(names):
+            # The section `tuner2` is that of a second tuner.
+            others = [other for other in last if other.rstrip("_0123456789") != meant]
+            if near := difflib.get_close_matches(meant, others, n=1, cutoff=_NEARLY):
+                raise ParameterError(
+                    f"the section '{last[near[0]]}' of '{path}' is for no node of that name: did you mean "
+                    f"'{meant}'?"
+                )
 
 
 def _without_gaps(arguments: Sequence[str], files: ExitStack) -> list[str]:

@@ -1,7 +1,8 @@
 """The journal of a run: one JSON object per line, on disk before the run continues.
 
 A run's folder contains `journal.jsonl`, from which its report is made. `records` defines the records. The
-JSON is strict: a number that is not finite is written as null.
+JSON is strict: a number that is not finite is written as null. Each line has its number, so that a line that
+is missing or was moved is noticed.
 """
 
 from __future__ import annotations
@@ -14,13 +15,14 @@ import os
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
 from mobo_tuner.errors import UserError
 
 FILE_NAME = "journal.jsonl"
+_NUMBER = "line"  # key of the number of a line, from 1
 MAX_BYTES = 1 << 30  # largest journal that is read: half a million evaluations
 
 JsonRecord = dict[str, Any]
@@ -48,6 +50,7 @@ class Journal:
         self.path = path
         self._descriptor = descriptor
         self._size = 0
+        self._count = 0  # lines
         self._lock = threading.Lock()  # one line at a time, whichever thread it comes from
 
     @classmethod
@@ -63,7 +66,7 @@ class Journal:
             JournalWriteError: If the folder or the file cannot be written.
             ValueError: If a record cannot be written as JSON.
         """
-        lines = b"".join(map(journal_line, records))
+        lines = [_numbered(record, n) for n, record in enumerate(records, start=1)]
         folder = Path(run_dir)
         path = folder / FILE_NAME
         try:
@@ -74,7 +77,7 @@ class Journal:
             raise JournalWriteError(path, error) from None
 
     @classmethod
-    def _create(cls, folder: Path, path: Path, lines: bytes) -> Journal:
+    def _create(cls, folder: Path, path: Path, lines: Sequence[bytes]) -> Journal:
         folder.mkdir(parents=True, exist_ok=True)
         # A journal always contains its start, whenever its writer is killed.
         draft = folder / f".{FILE_NAME}.{os.getpid()}"
@@ -84,7 +87,8 @@ class Journal:
             # Who reads the folder can tell by the lock whether the run is active.
             with contextlib.suppress(OSError):  # some network disks have no locks
                 fcntl.flock(journal._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            journal._write(lines)
+            with journal._lock:
+                journal._write(*lines)
             _put(draft, path)
             _sync_folder(folder)
         except BaseException:
@@ -103,7 +107,8 @@ class Journal:
         """
         if not isinstance(record.get("type"), str):
             raise ValueError(f"a journal record needs a type, which {dict(record)!r:.80} lacks")
-        self._write(journal_line(record))
+        with self._lock:
+            self._write(_numbered(record, self._count + 1))
 
     def close(self) -> None:
         """Close the file; repeated calls have no effect."""
@@ -117,21 +122,22 @@ class Journal:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _write(self, lines: bytes) -> None:
-        with self._lock:
-            if self._descriptor < 0:
-                raise ValueError(f"the journal '{self.path}' is closed")
-            try:
-                rest = memoryview(lines)
-                while rest:
-                    rest = rest[os.write(self._descriptor, rest) :]
-                os.fsync(self._descriptor)
-            except OSError as error:
-                # An incomplete line would corrupt the next one.
-                with contextlib.suppress(OSError):
-                    os.ftruncate(self._descriptor, self._size)
-                raise JournalWriteError(self.path, error) from None
-            self._size += len(lines)
+    def _write(self, *lines: bytes) -> None:
+        if self._descriptor < 0:
+            raise ValueError(f"the journal '{self.path}' is closed")
+        content = b"".join(lines)
+        try:
+            rest = memoryview(content)
+            while rest:
+                rest = rest[os.write(self._descriptor, rest) :]
+            os.fsync(self._descriptor)
+        except OSError as error:
+            # An incomplete line would corrupt the next one.
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._descriptor, self._size)
+            raise JournalWriteError(self.path, error) from None
+        self._size += len(content)
+        self._count += len(lines)
 
 
 def append_record(run_dir: str | Path, record: Mapping[str, Any]) -> None:
@@ -143,13 +149,12 @@ def append_record(run_dir: str | Path, record: Mapping[str, Any]) -> None:
         JournalWriteError: If it could not be written.
         ValueError: If the record cannot be written as JSON.
     """
-    line = journal_line(record)
     path = Path(run_dir) / FILE_NAME
     try:
         with path.open("r+b") as file:
-            end = file.seek(0, os.SEEK_END)
-            while end and not _ends_line(file, end):
-                end -= 1
+            content = file.read()
+            end = content.rfind(b"\n") + 1
+            line = _numbered(record, content.count(b"\n") + 1)
             file.truncate(end)
             file.seek(end)
             file.write(line)
@@ -157,11 +162,6 @@ def append_record(run_dir: str | Path, record: Mapping[str, Any]) -> None:
             os.fsync(file.fileno())
     except OSError as error:
         raise JournalWriteError(path, error) from None
-
-
-def _ends_line(file: BinaryIO, end: int) -> bool:
-    file.seek(end - 1)
-    return file.read(1) == b"\n"
 
 
 def read_journal(path: str | Path) -> list[JsonRecord]:
@@ -173,7 +173,8 @@ def read_journal(path: str | Path) -> list[JsonRecord]:
         path: Path of the journal, or of its run's folder.
 
     Raises:
-        JournalError: If it cannot be read, an earlier line is not a record, or the first is not a start.
+        JournalError: If it cannot be read, an earlier line is not a record, the first is not a start, or a
+            line is missing.
     """
     file = Path(path)
     if file.is_dir():
@@ -191,7 +192,8 @@ def parse_journal(content: bytes, name: str) -> list[JsonRecord]:
     """Return the records in the lines of a journal; `name` is its name in errors.
 
     Raises:
-        JournalError: If a line before the last is not a record, or the first is not a start.
+        JournalError: If a line before the last is not a record, the first is not a start, or a line is
+            missing.
     """
     lines = content.split(b"\n")
     while lines and not lines[-1].strip():
@@ -200,12 +202,20 @@ def parse_journal(content: bytes, name: str) -> list[JsonRecord]:
     for number, line in enumerate(lines, start=1):
         record = _record(line)
         if record is not None:
+            if record.pop(_NUMBER, number) != number:
+                raise JournalError(
+                    f"line {number} of {name} is not the one that was written there: one is missing, or was moved"
+                )
             records.append(record)
         elif number < len(lines):
             raise JournalError(f"line {number} of {name} is not a record")
     if not records or records[0]["type"] != "start":
         raise JournalError(f"{name} does not begin with a start record")
     return records
+
+
+def _numbered(record: Mapping[str, Any], number: int) -> bytes:
+    return journal_line({**record, _NUMBER: number})
 
 
 def _record(line: bytes) -> JsonRecord | None:

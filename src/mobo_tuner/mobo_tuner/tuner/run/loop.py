@@ -270,15 +270,7 @@ class RunLoop:
         self._publish_figures(run)
 
     def _publish_figures(self, run: Run) -> None:
-        self._context.status.set(
-            budget=run.budget,
-            evaluations=run.found.evaluations,
-            failed=run.found.failed,
-            feasible=run.found.feasible,
-            front_size=len(run.found.front),
-            hypervolume=run.found.hypervolume,
-            hypervolume_measured=run.found.hypervolume_measured,
-        )
+        publish_figures(self._context, run)
         self._context.status.hint("run", [*self._fallbacks.hints(run), *run.hints])
         for hint in run.hints:
             if hint not in self._hinted:
@@ -449,6 +441,20 @@ def publish_run(context: TunerContext, run: Run) -> None:
     context.topics.run_records(run.records_message(now))
     context.topics.problem(run.problem_message(now))
     context.topics.front(run.front_message(now))
+
+
+def publish_figures(context: TunerContext, run: Run) -> None:
+    """Publish the counts and the hypervolume of a run; that of a client with its own loop has no budget."""
+    found = run.found
+    context.status.set(
+        budget=0 if run.by_client else run.budget,
+        evaluations=found.evaluations,
+        failed=found.failed,
+        feasible=found.feasible,
+        front_size=len(found.front),
+        hypervolume=found.hypervolume,
+        hypervolume_measured=found.hypervolume_measured,
+    )
 
 
 def publish_front_change(context: TunerContext, run: Run) -> None:

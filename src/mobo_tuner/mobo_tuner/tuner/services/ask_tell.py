@@ -14,7 +14,13 @@ from mobo_tuner.runs.run_id import new_run_id
 from mobo_tuner.tuner.context import TunerContext, describe
 from mobo_tuner.tuner.machine_client import Answer
 from mobo_tuner.tuner.problem_parameters import ProblemParameters
-from mobo_tuner.tuner.run.loop import Ending, end_run, publish_front_change, publish_run
+from mobo_tuner.tuner.run.loop import (
+    Ending,
+    end_run,
+    publish_figures,
+    publish_front_change,
+    publish_run,
+)
 from mobo_tuner.tuner.run.run import Outcome, Run, Suggestion, checked
 from mobo_tuner.tuner.run.start import RunRequest, start_run
 from mobo_tuner.tuner.run.steering import Change
@@ -88,6 +94,7 @@ class AskTell:
         response.message = run.log.trouble
         self._context.topics.evaluation(response.evaluation)
         publish_front_change(self._context, run)
+        publish_figures(self._context, run)
         return response
 
     def _check_run(self, request: Tell.Request) -> None:
@@ -131,6 +138,10 @@ class AskTell:
             self._run = self._begin()
             self._session.know(self._run)
             publish_run(self._context, self._run)
+            self._context.status.set(
+                publish=False, run_id=self._run.run_id, stop_reason="", message="", last_failure=""
+            )
+            publish_figures(self._context, self._run)
         run, problem = self._run, self._parameters.problem
         if run.found.given_problem != problem:
             change = Change(problem, run.budget)
