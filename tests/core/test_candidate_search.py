@@ -40,6 +40,15 @@ def test_failed_evaluations_earn_nothing_and_are_not_repeated() -> None:
         assert (later > 0.02).all()
 
 
+def test_a_machine_that_was_off_at_first_is_not_kept_from_where_it_was() -> None:
+    withheld = Optimizer(Problem.from_dict(TOY), seed=1)
+    tune(withheld, 25)
+    optimizer = Optimizer(Problem.from_dict(TOY), seed=1)
+    tune(optimizer, 15, lambda _: {})
+    tune(optimizer, 25)
+    assert optimizer.hypervolume > 0.97 * withheld.hypervolume
+
+
 def test_when_everything_fails_it_explores() -> None:
     optimizer = Optimizer(Problem.from_dict(TOY), initial_evaluations=3)
     asked = tune(optimizer, 8, lambda _: {})

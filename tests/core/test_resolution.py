@@ -91,6 +91,18 @@ def test_a_dead_band_costs_few_repetitions() -> None:
     assert min(e.values["f"] for e in optimizer.dataset.evaluations) < 1e-3
 
 
+def test_a_readback_that_is_always_off_costs_few_repetitions() -> None:
+    optimizer = Optimizer(problem(x=(0.0, 1.0), y=(0.0, 1.0)), seed=1)
+    for _ in range(25):
+        setpoint = optimizer.ask()
+        at = {n: v + 0.0125 for n, v in setpoint.items()}
+        # Best where x is least, which the readback never is.
+        optimizer.tell(setpoint, {"f": 8.0 * at["x"] + (at["y"] - 0.3) ** 2}, at)
+    targets = optimizer.dataset.targets
+    distances = np.abs(targets[:, None] - targets).max(axis=2) + np.eye(len(targets))
+    assert np.count_nonzero(distances.min(axis=1) < 2e-3) <= 8
+
+
 @pytest.mark.parametrize(("acquisition", "noise"), [("ehvi", 0.0), ("ei", 0.0), ("ehvi", 0.05)])
 @pytest.mark.parametrize("seed", [0, 4])
 def test_a_slope_does_not_hide_the_well_beside_it(

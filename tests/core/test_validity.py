@@ -15,7 +15,12 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.hypervolume import BoxDecomposition
 from mobo_tuner.core.kernels import Matern52
-from mobo_tuner.core.validity import ValidityModel, _LaplaceLikelihood, _LaplacePosterior
+from mobo_tuner.core.validity import (
+    ValidityModel,
+    _LaplaceLikelihood,
+    _LaplacePosterior,
+    _log_evidence_of_bursts,
+)
 
 
 def _data(n=25, d=2, seed=0):
@@ -266,6 +271,23 @@ def test_failures_by_chance_do_not_narrow_the_search(rate: float) -> None:
     model = ValidityModel().fit(x, rng.random(40) >= rate)
     weights = model.log_weight(x)
     assert weights.max() - weights.min() < 0.8
+
+
+def test_what_fails_again_and_again_in_one_place_is_no_burst() -> None:
+    x, _ = outcomes(40, 3)
+    x[15:, 1] = 0.1 * x[15:, 1] - 0.9  # evaluations at an edge are valid
+    order = [*range(40), 0, 15, 16, 1, 17, 18, 2, 19]
+    valid = np.array(order) >= 15
+    at_first = ValidityModel().fit(x, valid[:40]).log_weight(x[5:6])[0]
+    assert ValidityModel().fit(x[order], valid).log_weight(x[5:6])[0] < min(at_first - 5.0, -4.0)
+
+
+def test_the_evidence_of_bursts_is_that_of_all_chains() -> None:
+    p = (np.arange(400) + 0.5) / 400
+    lasts_valid, lasts_failed = p[:, None], p[None]
+    likelihood = 0.5 * lasts_failed * (1 - lasts_failed) * lasts_valid**3 * (1 - lasts_valid)
+    outcomes = np.array([False, False, True, True, True, True, False])
+    assert _log_evidence_of_bursts(outcomes) == pytest.approx(np.log(likelihood.mean()), abs=1e-3)
 
 
 def test_failures_that_repeat_somewhere_do_narrow_it() -> None:

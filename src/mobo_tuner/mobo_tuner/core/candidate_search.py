@@ -38,7 +38,8 @@ FAILED_TOLERANCE = 0.02
 CONFIRMING_STEP = 0.02
 # A set-point within 0.05 % of every variable's range of a measured one must promise something new.
 _NEAR = 1e-3
-_ALIKE = 0.05  # range of a constraint's readings, as a share of what they lack
+_ALIKE = 1.0  # range of a constraint's readings, as a share of what they lack
+_ALIKE_BUT_FOR_NOISE = 4.0  # the same where readings are noisy
 _HOPELESS = 1e-4  # expected improvement of each objective, as a share of its spread
 _SKILL = 0.5  # least share of their variance that a model must explain to be followed
 
@@ -203,13 +204,21 @@ class CandidateSearch:
 
     def _pays(self, x: Array, used: Taken) -> bool:
         """Return whether measuring at x ``(d,)`` may say anything that is not known."""
-        known = self._data.inputs[self._data.complete & self._data.valid]
+        rows = self._data.complete & self._data.valid
+        known, targets = self._data.inputs[rows], self._data.targets[rows]
         if len(known) == 0:
             return True
-        distances = np.abs(known - x).max(axis=1)
-        nearest = int(distances.argmin())
+        # Beside a set-point that the machine missed, it will be missed again, and likewise.
+        beside = np.abs(targets - x).max(axis=1)
+        if beside.min() <= _NEAR:
+            nearest = int(beside.argmin())
+            x, distance = x + (known - targets)[nearest], float(beside[nearest])
+        else:
+            distances = np.abs(known - x).max(axis=1)
+            nearest = int(distances.argmin())
+            distance = float(distances[nearest])
         again = bool(used.contains(x[None])[0])
-        if not again and distances[nearest] > _NEAR:
+        if not again and distance > _NEAR:
             return True
         if again and self._models.trusts_readings(self._data):
             return False
@@ -239,7 +248,7 @@ class CandidateSearch:
         factors = self._factors()
         # Without a feasible point there is no front to improve: feasibility comes first.
         if limits and not (known.any() and self._archive.belief.feasible.any()):
-            return reduce(mul, factors) if all(map(_is_informed, limits)) else None
+            return reduce(mul, factors) if all(map(self._is_informed, limits)) else None
         if all(m.is_constant for m in self._models.objectives if m.n):
             return None
         if not self._problem.has_references:  # some objective was never measured
@@ -255,7 +264,7 @@ class CandidateSearch:
         factors: list[AcquisitionFunction] = [
             ProbabilityOfFeasibility(*limit)
             for limit in self._models.constraints
-            if not informed or _is_informed(limit)
+            if not informed or self._is_informed(limit)
         ]
         if self._data.failed.any():
             factors.append(ValidityWeight(self._models.validity))
@@ -304,15 +313,15 @@ class CandidateSearch:
 
         return chosen.of(Knowledge(models, values, reference, beta, front, truncation, tails))
 
+    def _is_informed(self, limit: tuple[GaussianProcess, float, float]) -> bool:
+        """Return whether the readings of a constraint say anything of where it is met.
 
-def _is_informed(limit: tuple[GaussianProcess, float, float]) -> bool:
-    """Return whether the readings of a constraint say anything of where it is met.
-
-    They do not where none met it and all are alike, compared with what they lack, but for noise.
-    """
-    model, lower, upper = limit
-    least, most = model.range
-    lack = max(lower - most, least - upper)
-    if lack <= 0.0 or most - least > _ALIKE * lack:
-        return True
-    return not model.is_constant and model.skill > _SKILL
+        They do not where none met it and all are alike, compared with what they lack, but for noise.
+        """
+        model, lower, upper = limit
+        least, most = model.range
+        lack = max(lower - most, least - upper)
+        alike = _ALIKE if self._models.trusts_readings(self._data) else _ALIKE_BUT_FOR_NOISE
+        if lack <= 0.0 or most - least > alike * lack:
+            return True
+        return not model.is_constant and model.skill > _SKILL

@@ -288,8 +288,9 @@ class Optimizer:
             setpoint: Every variable, in physical units.
 
         Raises:
-            ProblemError: If it is not pending.
+            ProblemError: If it does not fit the problem or is not pending.
         """
+        self.problem.normalize(setpoint)
         if not self._pending.remove(setpoint, self.problem):
             raise ProblemError(f"the set-point {dict(setpoint)} is not pending")
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lapack
-from scipy.special import expit, log_expit, log_ndtr, ndtri
+from scipy.special import betaln, expit, log_expit, log_ndtr, ndtri
 
 from mobo_tuner.core.kernels import Kernel, Matern52, as_inputs, squared_distances
 from mobo_tuner.core.linear_algebra import (
@@ -50,7 +50,8 @@ class ValidityModel:
     is fast and cautious: where all evaluations are valid, it may still say 0.8.
 
     A failure teaches where evaluations fail only as far as it repeats there: `log_weight` weighs the
-    evidence of a cause in x against that of chance.
+    evidence of a cause in x against that of chance and of bursts, in which a machine that is off or
+    tripped fails wherever it is set.
 
     To steer an optimiser, multiply its acquisition function by the weight, not by the probability:
     the edge of what works is where improvements look largest, as nothing is known beyond, and
@@ -71,7 +72,7 @@ class ValidityModel:
 
         Args:
             x: Normalised inputs `(n, d)`, n >= 1.
-            valid: Whether each evaluation was valid, booleans `(n,)`.
+            valid: Whether each evaluation was valid, booleans `(n,)`, in the order of measuring.
 
         Returns:
             The model itself.
@@ -129,8 +130,8 @@ class ValidityModel:
 
         `1 - q + q r / (1 + (0.8 / r)^10)`, with the probability q that failures have a cause in x
         and r the probability that an evaluation at x is valid, over the highest one at an evaluated
-        point: r itself where it is above 0.8, and vanishing quickly below. Failures by chance, for
-        which q is small, do not narrow the search.
+        point: r itself where it is above 0.8, and vanishing quickly below. Failures by chance or in
+        bursts, for which q is small, do not narrow the search.
         """
         log_ratio = self.predict_log_probability(x)
         if self._posterior is None:
@@ -153,10 +154,10 @@ class ValidityModel:
         return weight, slope[:, None] * gradient
 
     def _with_chance(self, log_weight: FloatArray) -> FloatArray:
-        """Mix the factor `(m,)` for failures with a cause and that for failures by chance, one."""
+        """Mix the factor `(m,)` for failures with a cause in x and that for all others, one."""
         assert self._posterior is not None
-        log_caused, log_by_chance = self._posterior.log_caused, self._posterior.log_by_chance
-        return np.asarray(np.logaddexp(log_by_chance, log_caused + log_weight))
+        log_caused, log_elsewhere = self._posterior.log_caused, self._posterior.log_elsewhere
+        return np.asarray(np.logaddexp(log_elsewhere, log_caused + log_weight))
 
     def get_state(self) -> dict[str, Any]:
         """Return the hyperparameters as data for JSON, without the evaluations."""
@@ -334,8 +335,8 @@ class _LaplacePosterior(TriangularPosterior):
     Attributes:
         highest: Logarithm of the highest probability at an observation.
         log_caused: Logarithm of the probability that failures have a cause in x, by the evidence of
-            the process against that of one probability everywhere.
-        log_by_chance: Logarithm of the probability that they happen by chance.
+            the process against that of one probability everywhere and that of bursts.
+        log_elsewhere: Logarithm of the probability that they have none.
     """
 
     def __init__(
@@ -353,8 +354,22 @@ class _LaplacePosterior(TriangularPosterior):
         mean, stddev = self.predict(x)
         self.highest = float(log_ndtr((self.offset + mean) / np.hypot(1.0, stddev)).max())
         by_chance = float(log_ndtr(mode.signs * mode.offset).sum())
-        odds = _CAUSE_LOG_ODDS + mode.evidence - by_chance
-        self.log_caused, self.log_by_chance = (float(v) for v in log_expit([odds, -odds]))
+        elsewhere = np.logaddexp(by_chance, _log_evidence_of_bursts(valid))
+        odds = _CAUSE_LOG_ODDS + mode.evidence - elsewhere
+        self.log_caused, self.log_elsewhere = (float(v) for v in log_expit([odds, -odds]))
+
+
+def _log_evidence_of_bursts(valid: NDArray[np.bool_]) -> float:
+    """Return the log evidence of outcomes `(n,)` that depend on the one before, not on x.
+
+    They are a Markov chain of two states, each of which lasts with a probability that is uniform
+    beforehand.
+    """
+    before, lasts = valid[:-1], valid[1:] == valid[:-1]
+    evidence = -np.log(2.0)
+    for state in (before, ~before):
+        evidence += betaln(np.sum(state & lasts) + 1, np.sum(state & ~lasts) + 1)
+    return float(evidence)
 
 
 def _covariance(
