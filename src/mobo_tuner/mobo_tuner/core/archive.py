@@ -14,7 +14,7 @@ from mobo_tuner.core.dataset import Dataset, Evaluation, Measured
 from mobo_tuner.core.hypervolume import BoxDecomposition
 from mobo_tuner.core.linear_algebra import single_blas_thread
 from mobo_tuner.core.models import Models
-from mobo_tuner.core.prior_mean import PriorMean
+from mobo_tuner.core.prior_mean import Prior
 from mobo_tuner.core.problem import Array, Problem, ProblemError, as_float
 from mobo_tuner.core.settings import OptimizerSettings
 
@@ -28,7 +28,7 @@ class Archive:
         problem: Problem that is tuned.
         settings: Settings of the optimiser.
         seed: Seed of every random choice.
-        prior_means: Functions that predict some quantities, see `prior_mean.PriorMean`.
+        prior_means: Model or functions that predict some quantities, see `prior_mean`.
 
     Raises:
         ProblemError: If a prior mean is given for a quantity that is not modelled.
@@ -48,12 +48,12 @@ class Archive:
         problem: Problem,
         settings: OptimizerSettings,
         seed: int,
-        prior_means: Mapping[str, PriorMean] | None,
+        prior_means: Prior | None,
     ) -> None:
         self.problem = problem
         self.dataset = Dataset(problem)
         self.models = Models(problem, settings, seed, prior_means)
-        self.initial_evaluations = settings.initial_evaluations or 2 * (len(problem.variables) + 1)
+        self.initial_evaluations = settings.initial_evaluations or _initial(problem, prior_means)
         self.expected = 0
         self.hypervolume_measured = 0.0
         self._settings = settings
@@ -300,6 +300,12 @@ class Archive:
             raise ProblemError(f"the state's boxes hold {packed!r} evaluations")
         if packed and self.problem.has_references:
             self._pack(min(packed, len(self.dataset)))
+
+
+def _initial(problem: Problem, prior_means: Prior | None) -> int:
+    """Return the number of points of the initial design, which needs to show less where a model is known."""
+    d = len(problem.variables)
+    return 1 + (d + 1) // 3 if prior_means and problem.has_references else 2 * (d + 1)
 
 
 def _no_boxes(problem: Problem) -> BoxDecomposition:

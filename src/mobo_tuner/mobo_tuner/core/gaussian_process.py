@@ -22,6 +22,9 @@ __all__ = ["GaussianProcess", "GaussianProcessSettings", "LeaveOneOut", "Predict
 
 _LARGEST_OUTPUT = 1e100
 _CLEARLY_BETTER = 3.0
+_FUNCTION, _SCALED = "function", "scaled function"  # prior means that are given
+_LEAST_SCALED = 5  # observations from which on a factor is learned
+_HANDICAPS = {_SCALED: 1.0}  # of the log density, for what an offset does not have: a factor
 
 
 class Prediction(NamedTuple):
@@ -80,8 +83,9 @@ class GaussianProcess:
     Args:
         settings: Settings of the model.
         reference: Component of the reference point, needed by mean="reference".
-        mean: Prior mean as a function from inputs `(n, d)` to outputs `(n,)`, in place of the
-            settings' mean and transform.
+        mean: Function from inputs `(n, d)` to outputs `(n,)`. The prior mean is the function and its
+            best offset, the same with its best factor, or that of the settings, whichever predicts
+            left-out observations best.
         mean_gradient: Gradient of `mean`, from inputs `(m, d)` to `(m, d)`; by default central
             differences.
         timed: Whether the last input is time, which nobody sets. Predictions at inputs without it are
@@ -185,7 +189,9 @@ class GaussianProcess:
         for state in states if len(states) > 1 else ():
             self._state = state
             scores.append(
-                self.leave_one_out().log_density.sum() - _CLEARLY_BETTER * state.model.scaling.log
+                self.leave_one_out().log_density.sum()
+                - _CLEARLY_BETTER * state.model.scaling.log
+                - _HANDICAPS.get(state.model.name, 0.0)
             )
         self._state = states[int(np.argmax(scores))] if scores else states[0]
         return self
@@ -263,8 +269,9 @@ class GaussianProcess:
         d = np.shape(x)[1]
         with single_blas_thread():
             mean, stddev, gradients = posterior.predict_with_gradient(inputs)
-        mean, stddev = scaling.unstandardise(inputs, mean, stddev)
+        # The gradient comes first: most models give their values with it.
         mean_gradient = scaling.prior_mean_gradient(inputs) + scaling.scale * gradients.mean
+        mean, stddev = scaling.unstandardise(inputs, mean, stddev)
         by_mean, by_stddev = scaling.gradients_to_output(
             mean, stddev, mean_gradient, scaling.scale * gradients.stddev
         )
@@ -352,7 +359,7 @@ class GaussianProcess:
 
     @property
     def model(self) -> str:
-        """Prior mean in use: data, reference, constant or function; with " log" for the log."""
+        """Prior mean in use: data, reference, constant, function or scaled function; with " log" for the log."""
         return self._fitted.model.name
 
     @property
@@ -428,6 +435,7 @@ class GaussianProcess:
                 "log": model.scaling.log,
                 "offset": model.scaling.offset,
                 "scale": model.scaling.scale,
+                "factor": model.scaling.factor,
                 "factorised": posterior.factorised,
             }
         return state
@@ -480,12 +488,17 @@ class GaussianProcess:
             )
         if not (abs(fitted["offset"]) <= _LARGEST_OUTPUT and 0.0 < fitted["scale"] < np.inf):
             raise ValueError(f"offset is {fitted['offset']}, scale {fitted['scale']}")
+        by_function = fitted["model"] in (_FUNCTION, _SCALED)
+        factor = float(fitted.get("factor", 1.0))
+        if not abs(factor) <= _LARGEST_OUTPUT:
+            raise ValueError(f"factor is {factor}")
         scaling = OutputScaling(
             bool(fitted["log"]),
             float(fitted["offset"]),
             float(fitted["scale"]),
-            mean,
-            mean_gradient,
+            mean if by_function else None,
+            mean_gradient if by_function else None,
+            factor,
         )
         model = _Model(fitted["model"], scaling, _hyperparameters(fitted["parameters"], kernel))
         with single_blas_thread():
@@ -533,9 +546,16 @@ class GaussianProcess:
     def _scalings(self, x: FloatArray, y: FloatArray) -> list[tuple[str, OutputScaling]]:
         """Return the scalings of these outputs that the settings allow, by name; at least one."""
         settings, reference = self.settings, self.reference
+        given: list[tuple[str, OutputScaling]] = []
         if self._mean is not None:
-            scaling = OutputScaling.of(x, y, mean=self._mean, mean_gradient=self._mean_gradient)
-            return [("function", scaling)]
+            kinds = ((_FUNCTION, False), (_SCALED, True))
+            for name, scaled in kinds if len(y) >= _LEAST_SCALED else kinds[:1]:
+                scaling = OutputScaling.of(
+                    x, y, mean=self._mean, mean_gradient=self._mean_gradient, scaled=scaled
+                )
+                given.append((name, scaling))
+            if given[0][1].explains(x, y):
+                return given[:1]
         offsets: dict[str, float | None]
         if settings.mean == "auto":
             offsets = {"data": None}
@@ -547,7 +567,7 @@ class GaussianProcess:
             offsets = {"constant": float(settings.mean)}
         plain = [(name, OutputScaling.of(x, y, offset=offset)) for name, offset in offsets.items()]
         if settings.transform == "none" or not (y > 0.0).all():
-            return plain
+            return given + plain
         logs = [
             (
                 f"{name} log",
@@ -556,7 +576,7 @@ class GaussianProcess:
             for name, offset in offsets.items()
             if offset is None or offset > 0.0
         ]
-        return logs if logs and settings.transform == "log" else plain + logs
+        return logs if logs and settings.transform == "log" else given + plain + logs
 
 
 def _hyperparameters(values: object, kernel: Kernel) -> FloatArray:

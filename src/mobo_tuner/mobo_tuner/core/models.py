@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mobo_tuner.core.context import Context
 from mobo_tuner.core.dataset import BoolArray, Dataset
 from mobo_tuner.core.gaussian_process import GaussianProcess
-from mobo_tuner.core.prior_mean import PriorMean, mean_functions
+from mobo_tuner.core.prior_mean import Prior, PriorMeans
 from mobo_tuner.core.problem import Array, Problem, ProblemError
 from mobo_tuner.core.selection import Selection
 from mobo_tuner.core.settings import OptimizerSettings
@@ -40,7 +40,7 @@ class Models:
         problem: Problem whose quantities are modelled.
         settings: Settings of the optimiser.
         seed: Seed of the random starts of training.
-        prior_means: Functions that predict some quantities, see `prior_mean.PriorMean`.
+        prior_means: Model or functions that predict some quantities, see `prior_mean`.
 
     Raises:
         ProblemError: If a prior mean is of a quantity that is not modelled, or not a function of the
@@ -52,7 +52,7 @@ class Models:
         problem: Problem,
         settings: OptimizerSettings,
         seed: int,
-        prior_means: Mapping[str, PriorMean] | None = None,
+        prior_means: Prior | None = None,
     ) -> None:
         self._problem = problem
         self._refit_every = settings.refit_every
@@ -62,7 +62,7 @@ class Models:
         self._selection = Selection(self._seconds)
         self._seed = seed
         self._signs = {o.name: o.sign for o in problem.objectives}
-        self._means = mean_functions(problem, prior_means)
+        self._means = PriorMeans(problem, {} if prior_means is None else prior_means)
         self._settings = settings
         self._steadiness = Steadiness(settings.noise, settings.drift)
         self._context = Context(timed=self._steadiness.drifts)
@@ -83,7 +83,8 @@ class Models:
                 process,
                 # One that is not inferred yet: no model is used before it is.
                 o.sign * o.reference if math.isfinite(o.reference) else 0.0,
-                mean=self._means.get(o.name),
+                mean=self._means.mean(o.name),
+                mean_gradient=self._means.gradient(o.name),
                 timed=self._context.timed,
             )
             for o in self._problem.objectives
@@ -93,7 +94,8 @@ class Models:
         for name in self._problem.required_diagnostics:
             if name not in processes:
                 processes[name] = GaussianProcess(
-                    constrained, mean=self._means.get(name), timed=self._context.timed
+                    constrained, mean=self._means.mean(name),
+                mean_gradient=self._means.gradient(name), timed=self._context.timed
                 )
         return processes
 
@@ -471,7 +473,8 @@ class Models:
                 self._context.inputs(data)[rows],
                 y[rows],
                 stddev[rows],
-                mean=self._means.get(name),
+                mean=self._means.mean(name),
+                mean_gradient=self._means.gradient(name),
             )
             if self._processes[name].n != len(rows) or self._processes[name].timed != timed:
                 raise ProblemError(f"the state lacks what the model of '{name}' was fitted to")

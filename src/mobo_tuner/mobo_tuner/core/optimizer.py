@@ -29,7 +29,7 @@ from mobo_tuner.core.optimizer_state import (
     write_state,
 )
 from mobo_tuner.core.predicted_front import predict_front
-from mobo_tuner.core.prior_mean import PriorMean
+from mobo_tuner.core.prior_mean import Prior
 from mobo_tuner.core.problem import Array, Problem, ProblemError
 from mobo_tuner.core.settings import make_settings
 from mobo_tuner.core.suggestion import Source, Suggester
@@ -50,9 +50,9 @@ class Optimizer:
         problem: Problem to tune.
         preset: "default", or "paper" for exactly the paper's method.
         seed: Seed of every random choice, at least 0.
-        prior_means: Functions that predict some objectives or constrained diagnostics from one array
-            per variable, such as a surrogate of the machine; the Gaussian process then learns the
-            difference.
+        prior_means: Model that predicts the machine (`prior_mean.PriorModel`), or a function for each of
+            some objectives and constrained diagnostics, from one array per variable. The Gaussian
+            process of each then learns the difference, if that predicts better.
         overrides: Single choices in place of the preset's, see `settings.OptimizerSettings`.
 
     Raises:
@@ -69,7 +69,7 @@ class Optimizer:
         problem: Problem,
         preset: str = "default",
         seed: int = 0,
-        prior_means: Mapping[str, PriorMean] | None = None,
+        prior_means: Prior | None = None,
         **overrides: Any,
     ) -> None:
         if not isinstance(problem, Problem):
@@ -464,13 +464,13 @@ class Optimizer:
 
     @classmethod
     def from_state(
-        cls, state: Mapping[str, Any], prior_means: Mapping[str, PriorMean] | None = None
+        cls, state: Mapping[str, Any], prior_means: Prior | None = None
     ) -> Optimizer:
         """Return the optimiser that `get_state` came from; its next suggestions are the same.
 
         Args:
             state: State from `get_state`, also after a conversion to JSON and back.
-            prior_means: The same functions again, if there were any.
+            prior_means: The same model or functions again, if there were any.
 
         Raises:
             ProblemError: If the state is of another version, incomplete or damaged.
@@ -497,13 +497,13 @@ class Optimizer:
 
     @classmethod
     def load(
-        cls, path: str | Path, prior_means: Mapping[str, PriorMean] | None = None
+        cls, path: str | Path, prior_means: Prior | None = None
     ) -> Optimizer:
         """Read what `save` wrote.
 
         Args:
             path: File.
-            prior_means: The same functions again, if there were any.
+            prior_means: The same model or functions again, if there were any.
 
         Raises:
             ProblemError: If the file cannot be read or does not contain a state.

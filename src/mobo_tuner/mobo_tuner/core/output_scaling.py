@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from mobo_tuner.core.gaussian_process_settings import MeanFunction
 from mobo_tuner.core.linear_algebra import FloatArray
 
 _ROUNDING = 1e-12
+_EXACT = 1e-9
 _GRADIENT_STEP = 1e-5
 _LARGEST_EXPONENT = 600.0
 _SMALLEST_SCALE = 1e-150
@@ -25,12 +26,15 @@ def is_constant(y: FloatArray) -> bool:
 class OutputScaling:
     """`z = (t(y) - m(x)) / scale`, with t the identity or the logarithm and m the prior mean.
 
+    The prior mean is `m(x) = offset + factor * mean(x)`, or `offset` alone without a function.
+
     Attributes:
         log: Whether t is the logarithm.
-        offset: Prior mean if it is a constant, in units of t(y).
+        offset: Constant part of the prior mean, in units of t(y).
         scale: Standard deviation of `t(y) - m(x)` over the observations, positive.
-        mean: Prior mean if it is a function of the inputs `(n, d) -> (n,)`; then `offset` is 0.
+        mean: Function of the inputs `(n, d) -> (n,)`, if there is one.
         mean_gradient: Gradient of `mean` `(m, d) -> (m, d)`; by default central differences.
+        factor: Factor of `mean`.
     """
 
     log: bool
@@ -38,6 +42,7 @@ class OutputScaling:
     scale: float
     mean: MeanFunction | None = None
     mean_gradient: MeanFunction | None = None
+    factor: float = 1.0
 
     @classmethod
     def of(
@@ -49,6 +54,7 @@ class OutputScaling:
         log: bool = False,
         mean: MeanFunction | None = None,
         mean_gradient: MeanFunction | None = None,
+        scaled: bool = False,
     ) -> OutputScaling:
         """Return the scaling that suits observations.
 
@@ -61,23 +67,30 @@ class OutputScaling:
             y: Outputs `(n,)`.
             offset: Constant prior mean, in units of t(y); None for the mean of the data.
             log: Whether t is the logarithm.
-            mean: Prior mean as a function, in place of `offset`.
+            mean: Function whose best offset from the outputs is the prior mean, in place of `offset`.
             mean_gradient: Gradient of `mean`.
+            scaled: Whether the best factor of `mean` is taken, too.
         """
         values = np.log(y) if log else y
+        factor = 1.0
         if mean is not None:
-            offset = 0.0
+            predicted = cls(log, 0.0, 1.0, mean).prior_mean(x)
+            if scaled:
+                variance = float(np.var(predicted))
+                agreement = float(np.mean((predicted - predicted.mean()) * values))
+                factor = agreement / variance if variance > 0.0 else 1.0
+            offset = float(np.mean(values - factor * predicted))
         elif offset is None:
             offset = float(np.mean(values))
-        unscaled = cls(log, offset, 1.0, mean, mean_gradient)
+        unscaled = cls(log, offset, 1.0, mean, mean_gradient, factor)
         residuals = values - unscaled.prior_mean(x)
         magnitude = max(float(np.abs(values).max()), abs(offset))
         negligible = _ROUNDING * magnitude
         centre = float(np.mean(residuals))
         for scale in (float(np.std(residuals)), abs(centre), magnitude / len(y)):
             if scale > max(negligible, _SMALLEST_SCALE):
-                return cls(log, offset, scale, mean, mean_gradient)
-        return cls(log, offset, 1.0 / len(y), mean, mean_gradient)
+                return replace(unscaled, scale=scale)
+        return replace(unscaled, scale=1.0 / len(y))
 
     def prior_mean(self, x: FloatArray) -> FloatArray:
         """Return the prior mean m(x) `(m,)` at x `(m, d)`, in units of t(y)."""
@@ -88,7 +101,11 @@ class OutputScaling:
             raise ValueError(
                 f"the mean function must return {len(x)} finite values, got shape {values.shape}"
             )
-        return values
+        return np.asarray(self.offset + self.factor * values)
+
+    def explains(self, x: FloatArray, y: FloatArray) -> bool:
+        """Return whether the prior mean is the outputs y `(n,)` at x `(n, d)`, to rounding."""
+        return bool(np.abs(y - self.prior_mean(x)).max() <= _EXACT * np.abs(y).max())
 
     def prior_mean_gradient(self, x: FloatArray) -> FloatArray:
         """Return the gradient of the prior mean in x `(m, d)` at x `(m, d)`."""
@@ -100,7 +117,7 @@ class OutputScaling:
                 raise ValueError(
                     f"mean_gradient must return finite values {x.shape}, got shape {gradient.shape}"
                 )
-            return gradient
+            return np.asarray(self.factor * gradient)
         gradient = np.empty_like(x)
         for a in range(x.shape[1]):
             step = np.zeros(x.shape[1])

@@ -1,8 +1,11 @@
-"""Prior means: what is known of an output before anything is measured, such as a surrogate of the machine."""
+"""Models of the machine that are known before a run, such as a simulation, as prior means of the processes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -12,50 +15,191 @@ from mobo_tuner.core.problem import LARGEST, Array, Problem, ProblemError
 PriorMean = Callable[[Mapping[str, Array]], Array]
 """Predicts one quantity in its own unit, shape ``(n,)``, from one array ``(n,)`` per variable."""
 
+_STEP = 1e-5  # of numerical gradients, where a variable spans 2
 
-def mean_functions(
-    problem: Problem, prior_means: Mapping[str, PriorMean] | None
-) -> dict[str, MeanFunction]:
-    """Return prior means of modelled outputs, by name, as functions of normalised inputs.
+
+@runtime_checkable
+class PriorModel(Protocol):
+    """Predicts quantities of a machine at any set-points."""
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the Q quantities that it predicts."""
+
+    def predict(self, columns: Mapping[str, Array]) -> Array:
+        """Return the quantities in their own units ``(n, Q)``, from one array ``(n,)`` per variable."""
+
+
+@runtime_checkable
+class SmoothPriorModel(PriorModel, Protocol):
+    """A model that knows its exact gradients."""
+
+    def predict_with_gradient(
+        self, columns: Mapping[str, Array]
+    ) -> tuple[Array, Mapping[str, Array]]:
+        """Return what `predict` does, and its derivatives by each variable in its unit ``(n, Q)``.
+
+        A variable that is missing has no influence.
+        """
+
+
+@dataclass(frozen=True)
+class SeparateModels:
+    """A function for each quantity, as one model.
+
+    Attributes:
+        functions: Function of each quantity.
+    """
+
+    functions: Mapping[str, PriorMean]
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the quantities."""
+        return tuple(self.functions)
+
+    def predict(self, columns: Mapping[str, Array]) -> Array:
+        """Return the quantities, see `PriorModel`."""
+        n = len(next(iter(columns.values())))
+        predicted = np.empty((n, len(self.functions)))
+        for j, (name, function) in enumerate(self.functions.items()):
+            values = function(columns)
+            try:
+                predicted[:, j] = np.asarray(values, dtype=float).reshape(n)
+            except (TypeError, ValueError):
+                raise ProblemError(
+                    f"the prior mean of '{name}' must return {n} numbers for as many set-points, "
+                    f"not {values!r:.60}"
+                ) from None
+        return predicted
+
+
+Prior = PriorModel | Mapping[str, PriorMean]
+"""A model, or a function for each quantity."""
+
+
+class PriorMeans:
+    """The prior means of a problem's quantities, as functions of normalised set-points.
+
+    The model is asked for all quantities at once and only within the bounds, for what is outside at
+    the nearest place within; what it answered last is kept, because the processes ask one after the
+    other for the same set-points.
 
     Args:
-        problem: Problem whose quantities are modelled.
-        prior_means: Prior means in the quantities' units, by name.
+        problem: Problem.
+        model: Model, of which quantities that the problem does not model are ignored, or a function for
+            each quantity.
 
     Raises:
-        ProblemError: If one is given for a quantity that is not modelled, or is not a function that
-            returns numbers.
+        ProblemError: If there is a function for a quantity that is not modelled, or the model does not give
+            finite numbers.
     """
-    if prior_means is not None and not isinstance(prior_means, Mapping):
-        raise ProblemError(f"prior_means must be a mapping of names, not {prior_means!r:.60}")
-    functions = {n: _mean_function(problem, n, f) for n, f in (prior_means or {}).items()}
-    for name, function in functions.items():
-        if name not in problem.required_diagnostics:
+
+    def __init__(self, problem: Problem, model: Prior) -> None:
+        if isinstance(model, Mapping):
+            for name, function in model.items():
+                if not callable(function):
+                    raise ProblemError(f"the prior mean of '{name}' must be a function")
+            model = SeparateModels(model)
+        if not isinstance(model, PriorModel):
             raise ProblemError(
-                f"a prior mean is given for '{name}'; allowed are "
-                f"{', '.join(problem.required_diagnostics)}"
+                f"prior_means must be a model or a mapping of names, not {model!r:.60}"
             )
-        function(np.zeros((2, len(problem.variables))))
-    return functions
+        modelled = dict.fromkeys([*problem.objective_names, *problem.required_diagnostics])
+        for name in model.outputs if isinstance(model, SeparateModels) else ():
+            if name not in modelled:
+                raise ProblemError(
+                    f"a prior mean is given for '{name}'; allowed are {', '.join(modelled)}"
+                )
+        self._problem, self._model = problem, model
+        signs = {o.name: o.sign for o in problem.objectives}
+        self._signs = np.array([signs.get(name, 1.0) for name in model.outputs])
+        self._columns = {name: j for j, name in enumerate(model.outputs)}
+        self._valued: tuple[Array, Array] | None = None
+        self._differentiated: tuple[Array, Array] | None = None
+        if model.outputs:
+            self.values(np.zeros((2, len(problem.variables))))
 
+    def mean(self, name: str) -> MeanFunction | None:
+        """Return the prior mean of a quantity as it is minimised; None if there is none."""
+        return None if name not in self._columns else partial(self._column, self._columns[name])
 
-def _mean_function(problem: Problem, name: str, prior_mean: PriorMean) -> MeanFunction:
-    """Return the prior mean of an output as it is modelled."""
-    sign = next((o.sign for o in problem.objectives if o.name == name), 1.0)
-    if not callable(prior_mean):
-        raise ProblemError(f"the prior mean of '{name}' must be a function")
+    def gradient(self, name: str) -> MeanFunction | None:
+        """Return the gradient of `mean`, in the shape of its input: none by time."""
+        return None if name not in self._columns else partial(self._slope, self._columns[name])
 
-    def mean(x: Array) -> Array:
-        predicted = prior_mean(problem.columns(x[:, : len(problem.variables)]))
+    def _column(self, j: int, x: Array) -> Array:
+        return np.asarray(self.values(x)[:, j])
+
+    def _slope(self, j: int, x: Array) -> Array:
+        gradients = self.gradients(x)[:, j]
+        return np.pad(gradients, ((0, 0), (0, x.shape[1] - gradients.shape[1])))
+
+    def values(self, x: Array) -> Array:
+        """Return the predictions ``(m, Q)`` at x ``(m, d)``, of minimised quantities."""
+        for known in (self._valued, self._differentiated):
+            if known is not None and np.array_equal(known[0], x):
+                return known[1][..., 0] if known[1].ndim == 3 else known[1]
+        values = self._predict(self._within(x))
+        self._valued = x.copy(), values
+        return values
+
+    def gradients(self, x: Array) -> Array:
+        """Return the gradients ``(m, Q, d)`` of `values`."""
+        if self._differentiated is None or not np.array_equal(self._differentiated[0], x):
+            self._differentiated = x.copy(), self._differentiate(self._within(x))
+        return self._differentiated[1][..., 1:]
+
+    def _within(self, x: Array) -> Array:
+        """Return the set-points within the bounds, without time if that is an input."""
+        return np.clip(x[:, : len(self._problem.variables)], -1.0, 1.0)
+
+    def _predict(self, x: Array) -> Array:
+        return self._checked(self._model.predict(self._problem.columns(x)), len(x))
+
+    def _checked(self, predicted: object, n: int) -> Array:
+        """Return predictions or derivatives ``(n, Q)`` of minimised quantities.
+
+        Raises:
+            ProblemError: If they are not as many finite numbers.
+        """
+        names = self._model.outputs
         try:
             values = np.asarray(predicted, dtype=float)
         except (TypeError, ValueError):
             values = np.empty(0)
-        if values.shape != (len(x),) or not (np.abs(values) <= LARGEST).all():
+        if values.shape != (n, len(names)):
             raise ProblemError(
-                f"the prior mean of '{name}' must return {len(x)} finite numbers for as many "
-                f"set-points, not {predicted!r:.60}"
+                f"the prior means of {', '.join(names)} must be {n} by {len(names)} numbers, "
+                f"not {predicted!r:.60}"
             )
-        return sign * values
+        wrong = ~(np.abs(values) <= LARGEST).all(axis=0)
+        if wrong.any():
+            name = names[int(wrong.argmax())]
+            raise ProblemError(f"the prior mean of '{name}' is not a finite number everywhere")
+        return np.asarray(self._signs * values)
 
-    return mean
+    def _differentiate(self, x: Array) -> Array:
+        """Return values and gradients ``(m, Q, 1 + d)`` at x ``(m, d)``."""
+        m, d = x.shape
+        both = np.zeros((m, len(self._signs), 1 + d))
+        if isinstance(self._model, SmoothPriorModel):
+            columns = self._problem.columns(x)
+            values, slopes = self._model.predict_with_gradient(columns)
+            both[..., 0] = self._checked(values, m)
+            for j, variable in enumerate(self._problem.variables):
+                if variable.name in slopes:
+                    step = 0.5 * (variable.maximum - variable.minimum)
+                    if variable.scale == "log":
+                        ratio = np.log(variable.maximum / variable.minimum)
+                        step = 0.5 * ratio * columns[variable.name][:, None]
+                    both[..., 1 + j] = step * self._checked(slopes[variable.name], m)
+            return both
+        steps = _STEP * np.eye(d)[:, None]
+        ahead, behind = np.minimum(x + steps, 1.0), np.maximum(x - steps, -1.0)
+        predicted = self._predict(np.concatenate([x, *ahead, *behind]))
+        both[..., 0] = predicted[:m]
+        further = predicted[m:].reshape(2, d, m, -1)
+        widths = (ahead - behind).sum(axis=2)[..., None]
+        both[..., 1:] = np.moveaxis((further[0] - further[1]) / widths, 0, 2)
+        return both

@@ -34,6 +34,7 @@ from mobo_tuner.parameter_file import check_section, node_sections
 from mobo_tuner.runs.history import INVALID_MEASUREMENT, History
 from mobo_tuner.runs.journal import read_journal
 from mobo_tuner.runs.optimizer_settings import make_optimizer
+from mobo_tuner.runs.prior_model import load_prior_model
 from mobo_tuner.runs.records import (
     ChangeRecord,
     EndRecord,
@@ -180,7 +181,7 @@ def start(content: Mapping[Any, Any], folder: Path, given: Mapping[str, Any]) ->
         campaign["workers"] = given["workers"]
     problem = Problem.from_dict(content)
     settings = {**tuner, "budget": tuner["evaluations"], "campaign": campaign}
-    optimizer = make_optimizer(problem, settings)
+    optimizer = make_optimizer(problem, settings, load_prior_model(problem, settings))
     Simulation(str(campaign["command"]), 1.0, folder)  # checks the command
     record = StartRecord(folder.name, time.time(), problem, settings)
     return Begun(optimizer, RunLog(folder, record), settings)

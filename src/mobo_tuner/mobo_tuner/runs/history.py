@@ -31,6 +31,9 @@ from mobo_tuner.runs.records import (
 SETPOINT, READBACK = "setpoint", "readback"
 """Input of the tuner's models."""
 
+MODEL, INPUTS, OUTPUTS = PRIOR = "prior_mean.model", "prior_mean.inputs", "prior_mean.outputs"
+"""Settings of the tuner that say which model predicts the machine."""
+
 INVALID_MEASUREMENT = 5
 """Error code of `EvaluateSetpoint.Result`: a diagnostic could not be measured."""
 

@@ -33,7 +33,8 @@ class RecordedRun:
     Attributes:
         history: What happened.
         optimizer: Optimiser as it was at the end. Without its saved state, the models of a long run are
-            trained once, at the end, so that they may differ a little from those of the run.
+            trained once, at the end, so that they may differ a little from those of the run. Those of a run
+            with a prior model do without it: who reads a run does not run what it names.
     """
 
     history: History
@@ -51,7 +52,7 @@ class RecordedRun:
         history = History.from_records(records)
         try:
             retrain = len(history.steps) <= _REPLAYED
-            return cls(history, restore(history, saved, retrain=retrain))
+            return cls(history, restore(history, saved, retrain=retrain, with_prior=False))
         except ProblemError as error:
             raise JournalError(f"the run of the journal cannot have happened: {error}") from None
 

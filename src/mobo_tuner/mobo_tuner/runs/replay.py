@@ -18,13 +18,18 @@ from mobo_tuner.runs.bag_messages import is_bag
 from mobo_tuner.runs.history import History, Step, told_of
 from mobo_tuner.runs.journal import JsonRecord, read_journal
 from mobo_tuner.runs.optimizer_settings import make_optimizer
+from mobo_tuner.runs.prior_model import load_prior_model
 from mobo_tuner.runs.rebuild import records_of_bag
 from mobo_tuner.runs.records import EvaluationRecord, ForgetRecord
 from mobo_tuner.runs.saved_state import SavedState
 
 
 def restore(
-    history: History, saved: SavedState | None = None, *, retrain: bool = True
+    history: History,
+    saved: SavedState | None = None,
+    *,
+    retrain: bool = True,
+    with_prior: bool = True,
 ) -> Optimizer:
     """Return the optimiser of a run as it was after its last step; with the default settings if they are unknown.
 
@@ -34,13 +39,16 @@ def restore(
             not suit the history, that is from the start.
         retrain: Whether to train the models as often as the run did, so that the optimiser asks what it
             would have asked then. Without it, they are trained when they are needed, which is much faster.
+        with_prior: Whether to load the prior model that the settings name, which runs its code. Without
+            it, the models are those of a run without one.
 
     Raises:
         ProblemError: If the history cannot have happened.
     """
-    optimizer, position = (saved.revive(history) if saved else None) or (None, 0)
+    prior = load_prior_model(history.problem, history.settings) if with_prior else None
+    optimizer, position = (saved.revive(history, prior) if saved else None) or (None, 0)
     if optimizer is None and history.settings:
-        optimizer = make_optimizer(history.problem, history.settings)
+        optimizer = make_optimizer(history.problem, history.settings, prior)
     elif optimizer is None:  # the run was rebuilt from a bag without run_records
         optimizer = Optimizer(history.problem)
     for step in history.steps[position:]:
@@ -104,7 +112,8 @@ def compare(history: History) -> list[Comparison]:
         ProblemError: If the history is contradictory.
     """
     history.require_settings()
-    optimizer = make_optimizer(history.problem, history.settings)
+    prior = load_prior_model(history.problem, history.settings)
+    optimizer = make_optimizer(history.problem, history.settings, prior)
     comparisons = []
     for step in history.steps:
         if isinstance(step, EvaluationRecord):

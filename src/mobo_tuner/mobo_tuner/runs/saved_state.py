@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.core.prior_mean import PriorModel
 from mobo_tuner.files import replace_file
 from mobo_tuner.runs.history import History, told_of
 from mobo_tuner.runs.records import ChangeRecord, EvaluationRecord
@@ -74,10 +75,13 @@ class SavedState:
         except (KeyError, OSError, RecursionError, TypeError, ValueError):
             return None
 
-    def revive(self, history: History) -> tuple[Optimizer, int] | None:
+    def revive(
+        self, history: History, prior: PriorModel | None = None
+    ) -> tuple[Optimizer, int] | None:
         """Return the optimiser at this state, and the number of steps that it has seen.
 
-        Returns None if the state does not belong to the history.
+        Returns None if the state does not belong to the history, or was one of an optimiser with another
+        prior model.
         """
         position = self._position(history)
         if position is None:
@@ -92,7 +96,8 @@ class SavedState:
         try:
             if Problem.from_dict(self.state["problem"]) != problem:
                 return None
-            return Optimizer.from_state({**self.state, "evaluations": evaluations}), position
+            state = {**self.state, "evaluations": evaluations}
+            return Optimizer.from_state(state, prior), position
         except Exception:  # an invalid state is replaced by a replay
             return None
 

@@ -16,6 +16,7 @@ from mobo_tuner.core.settings import CHOICES, PRESETS, OptimizerSettings, make_s
 from mobo_tuner.errors import ParameterError
 from mobo_tuner.parameter_file import check_section, flat
 from mobo_tuner.parameter_spec import ParameterSpec, specs_of
+from mobo_tuner.runs.history import INPUTS, MODEL, OUTPUTS
 
 _FALLBACKS = ("hold", "restore", "restore_anyway", "best")
 _OBSTACLES = ("wait", "retry", "pause", "abort")
@@ -75,6 +76,24 @@ TUNER = (
         "setpoint",
         "Values of the variables from which the models learn: set-points or readbacks.",
         choices=("setpoint", "readback"),
+    ),
+    ParameterSpec(
+        MODEL,
+        "",
+        "Model that predicts the machine, from which the models of the run learn the difference: "
+        "PACKAGE:FUNCTION or FILE.py:FUNCTION, a file of torch (.pt, .ts, .pt2), or the folder of a run or "
+        "campaign; empty = none.",
+    ),
+    ParameterSpec(
+        INPUTS,
+        "",
+        "Inputs of that model in its order, such as K1, K2, charge=40: variables, and constants with their "
+        "values; empty = all variables.",
+    ),
+    ParameterSpec(
+        OUTPUTS,
+        "",
+        "Quantities that it predicts, in its order; empty = all objectives and constrained diagnostics.",
     ),
     ParameterSpec(
         "shots",

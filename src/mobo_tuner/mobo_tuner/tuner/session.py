@@ -65,8 +65,8 @@ class Session:
 
     @contextmanager
     def reading(self) -> Iterator[None]:
-        """Let an earlier run be read."""
-        with self._busy("an earlier run is being read; one thing at a time is allowed"):
+        """Let an earlier run or a model of the machine be read."""
+        with self._busy("an earlier run or a model is being read; one thing at a time is allowed"):
             yield
 
     @contextmanager

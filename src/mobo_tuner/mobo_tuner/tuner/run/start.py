@@ -10,9 +10,11 @@ from typing import Any, NamedTuple
 from rclpy.task import Future
 
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.runs.history import History
+from mobo_tuner.core.prior_mean import PriorModel
+from mobo_tuner.runs.history import MODEL, History
 from mobo_tuner.runs.journal import read_journal
 from mobo_tuner.runs.optimizer_settings import kept_settings, make_optimizer
+from mobo_tuner.runs.prior_model import load_prior_model
 from mobo_tuner.runs.records import (
     ChangeRecord,
     EvaluationRecord,
@@ -78,6 +80,22 @@ def _read(runs_dir: str, run_id: str) -> Earlier:
     return Earlier(history, restore(history, SavedState.read(folder)))
 
 
+async def read_prior(
+    context: TunerContext, session: Session, problem: Problem
+) -> PriorModel | None:
+    """Load the prior model that the parameters name, if they do, while nothing else may begin.
+
+    Raises:
+        ProblemError: If it cannot be loaded.
+    """
+    settings = context.parameters.values
+    if not settings.get(MODEL):
+        return None
+    with session.reading():
+        prior: PriorModel | None = await context.worker.submit(load_prior_model, problem, settings)
+    return prior
+
+
 def start_run(
     request: RunRequest,
     problem: Problem,
@@ -86,6 +104,7 @@ def start_run(
     interrupt: Future,
     stamp: float,
     earlier: Earlier | None = None,
+    prior: PriorModel | None = None,
 ) -> Run:
     """Check a request and prepare its run.
 
@@ -96,6 +115,7 @@ def start_run(
         interrupt: Done when the run must stop; its result is the reason.
         stamp: Time now [s since the epoch].
         earlier: Run that this one resumes.
+        prior: Prior model of a run that resumes none.
 
     Raises:
         ValueError, OSError: If the request cannot be served, with the reason.
@@ -112,7 +132,7 @@ def start_run(
         run_id=run_id,
         budget=budget,
         hypervolume_goal=goal,
-        optimizer=make_optimizer(problem, settings),
+        optimizer=make_optimizer(problem, settings, prior),
         interrupt=interrupt,
         log=RunLog(parameters.run_dir(run_id), start),
         model_input=parameters.model_input,

@@ -22,7 +22,7 @@ from mobo_tuner.tuner.run.loop import (
     publish_run,
 )
 from mobo_tuner.tuner.run.run import Outcome, Run, Suggestion, checked
-from mobo_tuner.tuner.run.start import RunRequest, start_run
+from mobo_tuner.tuner.run.start import RunRequest, read_prior, start_run
 from mobo_tuner.tuner.run.steering import Change
 from mobo_tuner.tuner.session import Session
 
@@ -135,7 +135,7 @@ class AskTell:
         if self._run is None or self._session.latest is not self._run:
             self.close()
             self._asked = None
-            self._run = self._begin()
+            self._run = await self._begin()
             self._session.know(self._run)
             publish_run(self._context, self._run)
             self._context.status.set(
@@ -149,13 +149,15 @@ class AskTell:
             publish_run(self._context, run)
         return run
 
-    def _begin(self) -> Run:
+    async def _begin(self) -> Run:
+        prior = await read_prior(self._context, self._session, self._parameters.problem)
         run = start_run(
             RunRequest(run_id=new_run_id("ask"), evaluations=UNBOUNDED),
             self._parameters.problem,
             self._context.parameters,
             interrupt=self._context.future(),
             stamp=self._context.stamp(),
+            prior=prior,
         )
         run.by_client = True
         return run

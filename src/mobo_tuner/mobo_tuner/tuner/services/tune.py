@@ -12,7 +12,13 @@ from mobo_tuner.tuner.machine_client import MachineLostError
 from mobo_tuner.tuner.problem_parameters import ProblemParameters
 from mobo_tuner.tuner.run.loop import RunLoop
 from mobo_tuner.tuner.run.run import Run, RunError
-from mobo_tuner.tuner.run.start import Earlier, RunRequest, read_earlier, start_run
+from mobo_tuner.tuner.run.start import (
+    Earlier,
+    RunRequest,
+    read_earlier,
+    read_prior,
+    start_run,
+)
 from mobo_tuner.tuner.session import Session
 
 CANCELED = "a client canceled it"
@@ -82,6 +88,9 @@ class TuneServer:
             earlier = await read_earlier(self._context, self._session, request.resume_from)
         if self._parameters.open_variables:
             await self._locate(earlier)
+        prior = None
+        if earlier is None:
+            prior = await read_prior(self._context, self._session, self._parameters.problem)
         return start_run(
             RunRequest(request.run_id, request.evaluations, request.hypervolume_goal),
             self._parameters.problem,
@@ -89,6 +98,7 @@ class TuneServer:
             interrupt=self._context.future(),
             stamp=self._context.stamp(),
             earlier=earlier,
+            prior=prior,
         )
 
     async def _locate(self, earlier: Earlier | None) -> None:
