@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
 from typing import Any
@@ -94,8 +94,10 @@ class Models:
         for name in self._problem.required_diagnostics:
             if name not in processes:
                 processes[name] = GaussianProcess(
-                    constrained, mean=self._means.mean(name),
-                mean_gradient=self._means.gradient(name), timed=self._context.timed
+                    constrained,
+                    mean=self._means.mean(name),
+                    mean_gradient=self._means.gradient(name),
+                    timed=self._context.timed,
                 )
         return processes
 

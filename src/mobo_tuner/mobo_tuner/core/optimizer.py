@@ -463,9 +463,7 @@ class Optimizer:
         return state
 
     @classmethod
-    def from_state(
-        cls, state: Mapping[str, Any], prior_means: Prior | None = None
-    ) -> Optimizer:
+    def from_state(cls, state: Mapping[str, Any], prior_means: Prior | None = None) -> Optimizer:
         """Return the optimiser that `get_state` came from; its next suggestions are the same.
 
         Args:
@@ -496,9 +494,7 @@ class Optimizer:
         write_state(path, self.get_state())
 
     @classmethod
-    def load(
-        cls, path: str | Path, prior_means: Prior | None = None
-    ) -> Optimizer:
+    def load(cls, path: str | Path, prior_means: Prior | None = None) -> Optimizer:
         """Read what `save` wrote.
 
         Args:

@@ -105,7 +105,7 @@ class PriorMeans:
             raise ProblemError(
                 f"prior_means must be a model or a mapping of names, not {model!r:.60}"
             )
-        modelled = dict.fromkeys([*problem.objective_names, *problem.required_diagnostics])
+        modelled = problem.required_diagnostics
         for name in model.outputs if isinstance(model, SeparateModels) else ():
             if name not in modelled:
                 raise ProblemError(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +19,6 @@ from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.prior_mean import PriorMeans, PriorModel
 from mobo_tuner.core.problem import Array
 from mobo_tuner.core.settings import method_of
-from mobo_tuner.core.values import as_float
 from mobo_tuner.errors import UserError
 from mobo_tuner.runs.history import INPUTS, MODEL, OUTPUTS, History, told_of
 from mobo_tuner.runs.journal import FILE_NAME, read_journal
@@ -88,7 +89,7 @@ def _load(name: str, problem: Problem, settings: Mapping[str, Any]) -> PriorMode
 
 def _outputs(problem: Problem, text: str) -> tuple[str, ...]:
     """Return the names of the quantities that a model predicts: all that are modelled, if none is named."""
-    modelled = tuple(dict.fromkeys([*problem.objective_names, *problem.required_diagnostics]))
+    modelled = problem.required_diagnostics
     names = tuple(text.replace(",", " ").split())
     for name in names:
         if name not in modelled or names.count(name) > 1:
@@ -122,9 +123,11 @@ class _Inputs:
             name, given, value = word.partition("=")
             if given:
                 try:
-                    constants[name] = as_float(f"{INPUTS}, {name},", float(value))
+                    constants[name] = float(value)
                 except ValueError:
-                    raise ProblemError(f"{INPUTS} has '{word}'; NAME=NUMBER is allowed") from None
+                    constants[name] = math.nan
+                if not math.isfinite(constants[name]):
+                    raise ProblemError(f"{INPUTS} has '{word}'; NAME=NUMBER is allowed")
             elif name not in problem.variable_names:
                 raise ProblemError(
                     f"{INPUTS} names '{name}'; {', '.join(problem.variable_names)} and NAME=NUMBER are allowed"
@@ -196,7 +199,8 @@ class FunctionModel:
         Raises:
             ProblemError: If one is missing or is not an array of numbers.
         """
-        predicted = self.function(self.inputs.complete(columns))
+        with np.errstate(all="ignore"):  # what is not finite is refused
+            predicted = self.function(self.inputs.complete(columns))
         if not isinstance(predicted, Mapping):
             raise ProblemError(f"it must return arrays by name, not {predicted!r:.60}")
         missing = [name for name in self.outputs if name not in predicted]
@@ -241,10 +245,12 @@ class TorchModel:
         except ImportError:
             raise ProblemError("the package torch is not installed, which reads it") from None
         try:
-            if path.suffix == _EXPORTED:
-                network = torch.export.load(path).module()
-            else:
-                network = torch.jit.load(str(path), map_location="cpu").eval()
+            with warnings.catch_warnings():  # TorchScript is deprecated, but there are files of it
+                warnings.simplefilter("ignore")
+                if path.suffix == _EXPORTED:
+                    network = torch.export.load(path).module()
+                else:
+                    network = torch.jit.load(str(path), map_location="cpu").eval()
         except Exception as error:
             raise ProblemError(f"torch cannot read it: {error}") from error
         return cls(network, outputs, inputs)
