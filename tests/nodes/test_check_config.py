@@ -26,6 +26,7 @@ SHIPPED = {
     "toy.yaml": "awa_sim",
     "shift.yaml": "awa_sim",
     "derived.yaml": "awa_sim",
+    "prior.yaml": "awa_sim",
     "safe.yaml": "awa_sim",
     "foreign.yaml": "machine_bridge",
     "my_machine.yaml": "",

@@ -1,5 +1,5 @@
 """A neural network that models an AWA-like injector. It is not the paper's surrogate."""
 
-from awa_sim_node.surrogate.predictor import Surrogate
+from awa_sim_node.surrogate.predictor import Surrogate, predict
 
-__all__ = ["Surrogate"]
+__all__ = ["Surrogate", "predict"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -156,6 +157,16 @@ class Surrogate:
             f"range of the surrogate, {self._low[column]:g} to {self._high[column]:g} "
             f"{quantity.unit}"
         )
+
+
+@cache
+def _own() -> Surrogate:
+    return Surrogate.load()
+
+
+def predict(inputs: Mapping[str, ArrayLike]) -> dict[str, Any]:
+    """Predict the beam by the project's own surrogate, see `Surrogate.predict`; a prior model of a run."""
+    return _own().predict(inputs)
 
 
 def _average(members: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -151,7 +151,9 @@ def _ends_of(limit: Constraint | Limit) -> str:
 
 
 def _method(tuner: Mapping[str, Any]) -> str:
-    return f"preset {tuner['preset']}, acquisition function {tuner['acquisition']}"
+    method = f"preset {tuner['preset']}, acquisition function {tuner['acquisition']}"
+    model = tuner["prior_mean.model"]
+    return f"{method}, prior mean by {model}" if model else method
 
 
 def _budget(tuner: Mapping[str, Any]) -> str:

@@ -31,6 +31,7 @@ from mobo_tuner.nodes.parameters import CONSOLE, LIVE_SERVER, PAGE, RECORDER
 from mobo_tuner.offline.parameters import CAMPAIGN
 from mobo_tuner.parameter_file import check_section, node_sections
 from mobo_tuner.parameter_spec import ParameterSpec
+from mobo_tuner.runs.history import MODEL
 from mobo_tuner.tuner.parameters import check_tuner
 
 CONFIG_FILE = "config.yaml"  # in a run's folder
@@ -78,6 +79,11 @@ def check(
     tuner = check_tuner(sections.get("tuner", {}))
     problem = Problem.from_dict(content)
     method_of(tuner).check_problem(problem)
+    if tuner[MODEL] and not problem.open_variables:
+        # It takes a second to import, which other files can spare.
+        from mobo_tuner.runs.prior_model import load_prior_model
+
+        load_prior_model(problem, tuner)
     machine = None
     if section:
         machine = machines[section](Path(path))
