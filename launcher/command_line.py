@@ -299,7 +299,7 @@ def _add_surroundings(verb: argparse.ArgumentParser, speed: str) -> None:
         metavar="COMMAND",
         type=_command("--on-run-end"),
         default=os.environ.get(VARIABLES[ON_RUN_END]) or None,
-        help="command of your own for the logbook, which gets the finished or failed run as JSON on its "
+        help="command of your own for the logbook, which gets the run at its end, however it ended, as JSON on its "
         f"standard input (default: the environment variable {VARIABLES[ON_RUN_END]})",
     )
     verb.add_argument("--no-dashboard", action="store_true", help="do not start the page")

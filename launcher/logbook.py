@@ -16,6 +16,7 @@ ON_RUN_END, ON_REQUEST = "on_run_end", "on_request"
 VARIABLES = {ON_RUN_END: "MOBO_ON_RUN_END", ON_REQUEST: "MOBO_ON_REQUEST"}
 """Environment variable with the command of each event; a run's own files never name one."""
 TIMEOUT = 60.0  # [s] for a command to end; then it is killed
+AWAITED_TIMEOUT = 10.0  # [s] the same after a Ctrl-C
 _PATIENCE = 1.0  # [s] for it to end when it is asked to
 _LOG_FILE = "logbook.log"  # in the log folder of the run
 

@@ -19,7 +19,7 @@ from typing import Any
 
 from launcher.environment import PAGE_STAGES, STAGES, Stage, clean_environment
 from launcher.errors import LauncherError, RunFolderError, UsageError
-from launcher.logbook import ON_RUN_END, enter
+from launcher.logbook import AWAITED_TIMEOUT, ON_RUN_END, TIMEOUT, enter
 from launcher.machine import MACHINE_NODES, Machine, shared_domain
 from launcher.page import PageDoor
 from launcher.processes import Interrupted
@@ -347,13 +347,27 @@ def _carry_out(
         _record_end(folder, facts)
         if conclusion.state == "finished" and conclusion.reason:
             print(f"mobo.py: {conclusion.reason}", file=sys.stderr)
-        if options.on_run_end and conclusion.state in ("finished", "failed"):
-            trouble = enter(project.processes, options.on_run_end, ON_RUN_END, folder)
-            if trouble:
-                print(f"mobo.py: {trouble}", file=sys.stderr)
+        if options.on_run_end:
+            _enter_end(project, options.on_run_end, folder, conclusion)
         print(folder.path, flush=True)
     if conclusion.exit_status:
         raise UnsuccessfulRunError(conclusion)
+
+
+def _enter_end(project: Project, command: str, folder: RunFolder, conclusion: Conclusion) -> None:
+    """Have a command write about the end of a run, and say if it cannot; a signal ends the command.
+
+    It has less time if somebody waits for the end, and nothing to write about a run that was interrupted before it
+    began.
+    """
+    is_awaited = conclusion.state == "interrupted"
+    if is_awaited and not folder.has_journal:
+        return
+    project.processes.heed_next_signal()
+    timeout = AWAITED_TIMEOUT if is_awaited else TIMEOUT
+    trouble = enter(project.processes, command, ON_RUN_END, folder, timeout)
+    if trouble:
+        print(f"mobo.py: {trouble}", file=sys.stderr)
 
 
 def _record_end(folder: RunFolder, facts: Mapping[str, Any]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -356,11 +357,25 @@ def test_a_failed_report_fails_the_run(project: FakeProject) -> None:
     assert failure(project, output)["state"] == "failed"
 
 
+def entered(project: FakeProject, then: str = "") -> tuple[str, str]:
+    """Options that make the logbook a copy of what its command gets, and then do something else."""
+    copy = f"open({str(project.root / 'entry.json')!r}, 'w').write(sys.stdin.read())"
+    return "--on-run-end", shlex.join([sys.executable, "-c", f"import sys, time; {copy}; {then}"])
+
+
+def entry(project: FakeProject) -> dict[str, Any]:
+    """What the logbook's command got."""
+    content = json.loads((project.root / "entry.json").read_text())
+    assert isinstance(content, dict)
+    return content
+
+
 def test_a_run_that_another_client_cancels_is_canceled(project: FakeProject) -> None:
-    status, output, errors = project.run("run", console="canceled")
+    status, output, errors = project.run("run", *entered(project), console="canceled")
     assert status == 130
     assert errors == "mobo.py: the run was canceled by another client\n"
     assert failure(project, output)["state"] == "canceled"
+    assert entry(project)["state"] == "canceled"
 
 
 def test_a_run_without_a_valid_evaluation_fails(project: FakeProject) -> None:
@@ -403,6 +418,21 @@ def test_a_signal_ends_everything_in_time(
         assert failure(project, output)["state"] == "interrupted"
         assert project.events.index("console stopped") < project.events.index("machine stopping")
         assert "recorder stopped" in project.events
+
+
+def test_a_run_that_a_signal_ends_is_in_the_logbook_and_another_signal_ends_its_command(
+    project: FakeProject,
+) -> None:
+    process = project.start("run", *entered(project, "time.sleep(1000)"), console="wait")
+    project.wait_for_event("console ready")
+    process.send_signal(signal.SIGINT)
+    path = project.root / "entry.json"
+    wait_until(lambda: path.exists() and path.read_text().endswith("}"), "the entry")
+    process.send_signal(signal.SIGINT)
+    output, errors = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 130
+    assert "for the logbook was interrupted" in errors
+    assert failure(project, output)["state"] == entry(project)["state"] == "interrupted"
 
 
 def test_an_impatient_user_does_not_spoil_the_bag(project: FakeProject) -> None:
