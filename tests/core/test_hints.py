@@ -144,6 +144,32 @@ def test_noise_that_is_larger_than_the_gain_is_told() -> None:
     assert "shots" in hint
 
 
+def test_a_constraint_that_is_surely_met_is_not_doubted_and_noise_is_told_as_such() -> None:
+    """A transmission of 1 nearly everywhere cannot be predicted, and need not be."""
+    rng = np.random.default_rng(0)
+    limits = {"t": {"min": 0.9}, "u": {"max": 1.0}}
+    limited = problem({"f": {"reference": 99.0}}, constraints=limits)
+
+    def told(spread: float, noise: float) -> list[str]:
+        optimizer = Optimizer(limited, seed=1)
+        for x, y in rng.uniform(-2.0, 2.0, (40, 2)):
+            around = 1.0 + rng.normal(0.0, spread, 3)
+            values = {"f": x * x + y * y, "t": (around[0], noise), "u": (around[1], noise)}
+            optimizer.tell({"x": x, "y": y}, values)
+        optimizer.ask()
+        return optimizer.hints()
+
+    [hint] = told(0.01, math.nan)  # the limit of u is amid its readings
+    assert "predicts u badly" in hint
+    assert told(0.01, 0.01) == []
+    noisy = Optimizer(problem({"f": {"reference": 99.0}, "g": {"reference": 99.0}}), seed=1)
+    for x, y in rng.uniform(-2.0, 2.0, (40, 2)):
+        noisy.tell({"x": x, "y": y}, {"f": (rng.normal(1.0, 0.1), 0.1), "g": x * x + y * y})
+    noisy.ask()
+    [hint] = noisy.hints()
+    assert "readings of f differ by" in hint
+
+
 def test_a_reference_left_out_is_inferred_once_and_stays() -> None:
     left_out = problem({"f": {}, "g": {"direction": "maximize"}, "h": {"reference": 7.0}})
     optimizer = Optimizer(left_out, seed=3)

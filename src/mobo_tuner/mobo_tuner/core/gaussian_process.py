@@ -393,6 +393,12 @@ class GaussianProcess:
         return is_constant(self._fitted.y)
 
     @property
+    def known_noise(self) -> FloatArray:
+        """Known standard deviation of each observation `(n,)`; 0 where it is unknown."""
+        fixed = 0.0 if isinstance(self.settings.noise, str) else self.settings.noise
+        return np.hypot(self._fitted.stddev, fixed)
+
+    @property
     def skill(self) -> float:
         """Share of the outputs' variance that is explained by predicting each from all others."""
         residual = self.leave_one_out().residual

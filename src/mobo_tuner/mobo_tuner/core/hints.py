@@ -42,7 +42,8 @@ def hints(data: Dataset, belief: Belief) -> list[str]:
 def doubts(models: Mapping[str, GaussianProcess], belief: Belief, *, noisy: bool) -> list[str]:
     """Return which outputs the models cannot explain, be it for noise or for what is not a variable.
 
-    A prediction is that from all other readings, with the hyperparameters of the last training.
+    A prediction is that from all other readings, with the hyperparameters of the last training. A constraint
+    counts only if it is in doubt whether it is met.
 
     Args:
         models: Trained models by their outputs.
@@ -62,7 +63,19 @@ def doubts(models: Mapping[str, GaussianProcess], belief: Belief, *, noisy: bool
         readings = left_out.mean + left_out.residual
         error = float(np.median(np.abs(left_out.residual)))
         spread = float(np.median(np.abs(readings - np.median(readings))))
-        if error > UNEXPLAINED * spread > 0.0:
+        if not error > UNEXPLAINED * spread > 0.0:
+            continue
+        noise = float(np.median(model.known_noise))
+        if name not in problem.objective_names:
+            surely_met = is_surely_met(problem, name, left_out.mean, left_out.stddev)
+            if noise >= error or surely_met:
+                continue
+        if noise >= error:
+            sentences.append(
+                f"the readings of {name} differ by {spread:.3g}, no more than their noise of "
+                f"{noise:.3g} explains: take more shots, or widen the bounds of the variables"
+            )
+        else:
             sentences.append(
                 f"the model predicts {name} badly: it is off by {error:.3g}, and the readings differ by "
                 f"{spread:.3g}; queue one set-point twice: if its readings differ as much, the noise is larger "
@@ -74,6 +87,22 @@ def doubts(models: Mapping[str, GaussianProcess], belief: Belief, *, noisy: bool
                 f"front {name} differs by {gains[name]:.3g}; take more shots, or end the run"
             )
     return sentences
+
+
+def is_surely_met(problem: Problem, name: str, means: Array, stddevs: Array) -> bool:
+    """Return whether an output has limits, and all predictions meet them by three standard deviations.
+
+    Args:
+        problem: Problem with the limits.
+        name: Name of the output.
+        means: Predictions ``(n,)``.
+        stddevs: Their standard deviations ``(n,)``.
+    """
+    limits = [c for c in problem.constraints if c.name == name]
+    low, high = means - 3.0 * stddevs, means + 3.0 * stddevs
+    return bool(limits) and all(
+        (low >= c.minimum).all() and (high <= c.maximum).all() for c in limits
+    )
 
 
 def nearest_to_reference(objectives: Array, reference: Array) -> int:

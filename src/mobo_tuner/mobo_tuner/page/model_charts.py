@@ -95,6 +95,7 @@ def model_slice(
 
 def drivers(outputs: Sequence[Mapping[str, Any]], colours: Colours) -> Options:
     """Return which variable drives what: the share of each output's variance that each explains alone."""
+    outputs = [output for output in outputs if not output["is_noise"]]
     names = [*outputs[0]["drivers"]] if outputs else []
     cells = [
         {
@@ -164,6 +165,9 @@ def left_out(output: Mapping[str, Any], colours: Colours) -> Options:
 
 def quality(output: Mapping[str, Any]) -> str:
     """Return how well a model predicts, in words."""
+    if output["is_noise"]:
+        noise = quantity(output["noise"], output["unit"], 2)
+        return f"All readings differ by no more than their noise of {noise}: there is nothing to predict."
     skill, error, coverage = (output[key] for key in ("skill", "error", "coverage"))
     if skill is None or error is None or coverage is None:
         return ""

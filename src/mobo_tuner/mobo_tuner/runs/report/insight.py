@@ -72,6 +72,8 @@ def _fact(fact: ModelFacts, names: Sequence[str]) -> dict[str, Any]:
         "measured": _rounded(fact.measured),
         "predicted": _rounded(fact.predicted),
         "stddevs": _rounded(fact.stddevs),
+        "noise": _json(float(np.median(fact.noise))),
+        "is_noise": fact.is_noise,
         "skill": _json(fact.skill),
         "error": _json(fact.error),
         "coverage": _json(fact.coverage),

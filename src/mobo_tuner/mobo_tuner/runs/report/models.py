@@ -24,6 +24,7 @@ class ModelFacts(NamedTuple):
         measured: Readings ``(n,)``.
         predicted: Each predicted from all others ``(n,)``.
         stddevs: Standard deviations of the predictions, noise included ``(n,)``.
+        noise: Known standard deviations of the readings ``(n,)``; 0 where unknown.
         indices: First-order Sobol index of each variable ``(d,)``.
         length_scales: Distance over which the output changes, in each variable's unit ``(d,)``.
     """
@@ -33,6 +34,7 @@ class ModelFacts(NamedTuple):
     measured: Array
     predicted: Array
     stddevs: Array
+    noise: Array
     indices: Array
     length_scales: Array
 
@@ -41,6 +43,12 @@ class ModelFacts(NamedTuple):
         """Share of the readings' variance that the predictions explain; at most 1."""
         residual = self.measured - self.predicted
         return 1.0 - float(np.mean(residual**2) / np.var(self.measured))
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether the readings differ by no more than their known noise, so that there is nothing to predict."""
+        spread = np.median(np.abs(self.measured - np.median(self.measured)))
+        return bool(spread <= np.median(self.noise))
 
     @property
     def error(self) -> float:
@@ -73,6 +81,7 @@ def model_facts(run: RecordedRun) -> list[ModelFacts]:
                 measured=sign * (left_out.mean + left_out.residual),
                 predicted=sign * left_out.mean,
                 stddevs=left_out.stddev,
+                noise=model.known_noise,
                 indices=_indices(model, len(half)),
                 length_scales=half / np.sqrt(np.diagonal(model.precision)),
             )

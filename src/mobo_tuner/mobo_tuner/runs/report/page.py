@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from mobo_tuner.core.hints import is_surely_met
 from mobo_tuner.core.problem import Constraint, Problem
 from mobo_tuner.runs.recorded_run import UNFINISHED, RecordedRun
 from mobo_tuner.runs.records import StopReason
@@ -179,15 +180,26 @@ def _in_words(run: RecordedRun, facts: list[ModelFacts]) -> Iterator[str]:
     driven: dict[str, list[str]] = {}
     for fact in facts:
         strongest = int(fact.indices.argmax())
-        if fact.skill >= _PREDICTIVE and fact.indices[strongest] >= _DRIVES:
+        if fact.skill >= _PREDICTIVE and not fact.is_noise and fact.indices[strongest] >= _DRIVES:
             name = run.problem.variable_names[strongest]
             driven.setdefault(name, []).append(f"{fact.name} ({share(fact.indices[strongest])})")
     if driven:
         each = [f"{name} drives {', '.join(outputs)}" for name, outputs in driven.items()]
         yield f"{'; '.join(each)}: the share of the variance that it explains alone."
-    weak = [fact.name for fact in facts if fact.skill < _PREDICTIVE]
+    alike = [fact.name for fact in facts if fact.is_noise]
+    if alike:
+        yield f"The readings of {', '.join(alike)} differ by no more than their noise: there is nothing to predict."
+    weak = [fact.name for fact in facts if _is_weak(fact, run.problem)]
     if weak:
         yield f"The models do not predict {', '.join(weak)} well; distrust what they say of it."
+
+
+def _is_weak(fact: ModelFacts, problem: Problem) -> bool:
+    """Return whether a model predicts badly what matters: an objective, or a constraint that may be broken."""
+    if fact.is_noise or fact.skill >= _PREDICTIVE:
+        return False
+    is_constraint = fact.name not in problem.objective_names
+    return not (is_constraint and is_surely_met(problem, fact.name, fact.predicted, fact.stddevs))
 
 
 def _progress(run: RecordedRun) -> Iterator[str]:
