@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from mobo_tuner.client import Arrival, TunerClient, TunerError
 
 LEAST_PERIOD = 0.2  # [s] between two requests of all viewers together
+TURN_TIMEOUT = 5.0  # [s] for those of other viewers; later, a request would surprise
 
 
 class Answer(NamedTuple):
@@ -23,17 +24,29 @@ class Answer(NamedTuple):
     sentence: str
 
 
+class Turns:
+    """The order of the requests of all viewers: one is made at a time, and a move beside it."""
+
+    def __init__(self) -> None:
+        self.request = asyncio.Lock()
+        self.move = asyncio.Lock()
+
+
 class Commands:
-    """Requests to a tuner; one is made at a time, and a move beside it.
+    """Requests of one viewer to a tuner.
+
+    Those of other viewers are made in their order. A second one of the same viewer is refused until the first was
+    answered, so that a double click on Step or Skip counts once.
 
     Args:
         client: Client of the tuner.
+        turns: Order of the requests of all viewers.
     """
 
-    def __init__(self, client: TunerClient) -> None:
+    def __init__(self, client: TunerClient, turns: Turns) -> None:
         self._client = client
-        self._free = asyncio.Lock()
-        self._moves = asyncio.Lock()
+        self._turns = turns
+        self._is_asking = False
 
     async def pause(self) -> Answer:
         """Pause the run after the current evaluation."""
@@ -56,12 +69,12 @@ class Commands:
         return await self._ask(self._client.stop)
 
     async def cancel(self) -> Answer:
-        """Cancel the active run or move."""
+        """Cancel the active run or move, ahead of all other requests."""
 
         def cancel() -> str:
             return "it is being canceled" if self._client.cancel_any() else "nothing is active"
 
-        return await self._ask(cancel)
+        return await _made(cancel)
 
     async def queue(self, setpoint: Mapping[str, float]) -> Answer:
         """Add a set-point, which the run evaluates next."""
@@ -110,18 +123,33 @@ class Commands:
         return await self._move(go)
 
     async def _move(self, request: Callable[[], str]) -> Answer:
-        if self._moves.locked():
+        if self._turns.move.locked():
             return Answer(False, "the machine is already on its way; stop it first")
-        async with self._moves:
+        async with self._turns.move:
             return await _made(request)
 
     async def _ask(self, request: Callable[[], str]) -> Answer:
-        if self._free.locked():
-            return Answer(False, "the tuner has not answered the last request yet")
-        async with self._free:
+        if self._is_asking:
+            return Answer(False, "the tuner has not answered your last request yet")
+        self._is_asking = True
+        try:
+            return await self._ask_in_turn(request)
+        finally:
+            self._is_asking = False
+
+    async def _ask_in_turn(self, request: Callable[[], str]) -> Answer:
+        turn = self._turns.request
+        try:
+            await asyncio.wait_for(turn.acquire(), TURN_TIMEOUT)
+        except TimeoutError:
+            text = "the tuner has not answered another viewer's request yet; yours was not made"
+            return Answer(False, text)
+        try:
             answer = await _made(request)
             await asyncio.sleep(LEAST_PERIOD)
-            return answer
+        finally:
+            turn.release()
+        return answer
 
 
 async def _made(request: Callable[[], str]) -> Answer:

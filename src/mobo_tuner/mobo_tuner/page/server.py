@@ -20,7 +20,7 @@ from mobo_tuner.client import TunerClient
 from mobo_tuner.errors import UserError
 from mobo_tuner.page.access import Access, Guard
 from mobo_tuner.page.board import Board
-from mobo_tuner.page.commands import Commands
+from mobo_tuner.page.commands import Commands, Turns
 from mobo_tuner.page.feed import Feed
 from mobo_tuner.page.history import History
 from mobo_tuner.page.insights import Insights
@@ -98,7 +98,7 @@ class PageServer:
         application = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
         application.add_middleware(Guard, access=self._access, port=self._port)
         app.add_static_files("/page", STATIC)
-        commands = Commands(self._client)
+        turns = Turns()
 
         @ui.page("/", title="MOBO", dark=True, language="en-US")
         async def page(request: Request) -> Response | None:
@@ -108,7 +108,7 @@ class PageServer:
             ui.add_head_html('<link rel="stylesheet" href="/page/page.css">')
             ui.add_head_html('<script src="/page/page.js" defer></script>')
             dark = request.query_params.get("theme") != "light"
-            allowed = commands if may_act else None
+            allowed = Commands(self._client, turns) if may_act else None
             view = View(self._board, allowed, self._history, self._insights, dark=dark)
             view.refresh()
             self._views.append(view)
