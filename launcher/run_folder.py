@@ -10,7 +10,6 @@ import re
 import shutil
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +25,7 @@ CONFIG_FILE = "config.yaml"
 SUMMARY_FILE = "summary.json"
 JOURNAL_FILE = "journal.jsonl"
 RUN_FILE_ROOM = 4000  # characters of a run.json at least
+SUMMARY_HEAD = 1 << 13  # bytes of a summary in which its front begins
 LAST_BYTES = 1 << 18  # of a journal that are read for its last records
 SHOWN_POINTS = 8  # of the front, so that a run fits a screen
 BAG_FILE = "metadata.yaml"
@@ -114,10 +114,13 @@ class RunFolder:
             RunFolderError: If the folder cannot be read.
         """
         try:
-            found = (runs_dir.glob(f"*/{name}") for name in (RUN_FILE, JOURNAL_FILE))
-            return [cls(folder) for folder in sorted({path.parent for path in chain(*found)})]
+            with os.scandir(runs_dir) as entries:
+                found = sorted(entry.path for entry in entries if _is_run(entry.path))
+        except FileNotFoundError:
+            return []
         except OSError as error:
             raise RunFolderError(f"'{runs_dir}' cannot be read: {error.strerror}") from None
+        return [cls(Path(path)) for path in found]
 
     @property
     def run_id(self) -> str:
@@ -209,7 +212,8 @@ class RunFolder:
         Raises:
             RunFolderError: If it cannot be read.
         """
-        facts, summary = self.facts(), self.summary()
+        facts = self.facts()
+        summary = self._summary_head() or self.summary()
         return [
             self.run_id,
             _text(facts.get("state")),
@@ -308,6 +312,18 @@ class RunFolder:
             return records
         return []
 
+    def _summary_head(self) -> dict[str, Any]:
+        """Return the content of `summary.json` before its front, which is most of it; empty if that is not clear."""
+        with (
+            contextlib.suppress(OSError, ValueError),
+            (self.path / SUMMARY_FILE).open("rb") as file,
+        ):
+            head, front, _ = file.read(SUMMARY_HEAD).partition(b'"pareto_front":')
+            if front:
+                content = json.loads(head.rstrip().rstrip(b",") + b"}")
+                return content if isinstance(content, dict) else {}
+        return {}
+
     def _read(self, name: str) -> dict[str, Any]:
         path = self.path / name
         try:
@@ -321,6 +337,10 @@ class RunFolder:
         if not isinstance(content, dict):
             raise RunFolderError(f"'{path}' is broken: it holds no JSON object")
         return content
+
+
+def _is_run(folder: str) -> bool:
+    return any(os.path.isfile(f"{folder}/{name}") for name in (RUN_FILE, JOURNAL_FILE))
 
 
 def is_bag(path: Path) -> bool:
