@@ -1,8 +1,9 @@
 """Memory and lag of the page: many evaluations at once, then 20 a second, with a browser that looks at it.
 
 `python -m bench.page_load [--seconds 60] [--evaluations 5000] [--rate 20]`, on a quiet machine. A node of this
-program plays the tuner. The figures are the server's resident memory, the tab's heap after a collection of garbage,
-and the time from the publication of an evaluation to its count on the screen.
+program plays the tuner. When a run has twice the evaluations with which it began, the next one begins. The figures are
+the server's resident memory, the tab's heap after a collection of garbage, and the time from the publication of an
+evaluation to its count on the screen.
 """
 
 from __future__ import annotations
@@ -40,6 +41,8 @@ class Player:
 
     def __init__(self, node: Node, budget: int) -> None:
         self._budget = budget
+        self._run_id = ""
+        self._runs = 0
         self._status = interfaces.STATUS.publisher(node)
         self._evaluation = interfaces.EVALUATION.publisher(node)
         self._front = interfaces.PARETO_FRONT.publisher(node)
@@ -48,10 +51,14 @@ class Player:
         self.count = 0
 
     def begin(self) -> None:
-        """Publish the problem."""
+        """Begin a run, and publish its problem."""
+        self._runs += 1
+        self._run_id = f"load-{self._runs}"
+        self._points.clear()
+        self.count = 0
         self._problem.publish(
             msg.Problem(
-                run_id="load",
+                run_id=self._run_id,
                 variables=[msg.Variable(name=name, min=0.0, max=1.0) for name in VARIABLES],
                 objectives=[msg.Objective(name=name, reference=2.0) for name in OBJECTIVES],
             )
@@ -69,7 +76,7 @@ class Player:
         ]
         self._evaluation.publish(
             msg.Evaluation(
-                run_id="load",
+                run_id=self._run_id,
                 index=index,
                 setpoint=setpoint,
                 diagnostics=found,
@@ -83,11 +90,11 @@ class Player:
         if index < FRONT:
             self._points.append(msg.ParetoPoint(index=index, setpoint=setpoint, objectives=found))
         if whole:
-            self._front.publish(msg.ParetoFront(run_id="load", points=self._points))
+            self._front.publish(msg.ParetoFront(run_id=self._run_id, points=self._points))
             self._status.publish(
                 msg.TunerStatus(
                     state=msg.TunerStatus.EVALUATING,
-                    run_id="load",
+                    run_id=self._run_id,
                     evaluations=self.count,
                     budget=self._budget,
                 )
@@ -136,7 +143,7 @@ def measure(options: argparse.Namespace, folder: Path) -> None:
     with RosDomain() as domain:
         os.environ.update(domain.environment, ROS_LOG_DIR=str(folder))
         rclpy.init(context=context, domain_id=domain.id)
-        player = Player(Node("player", context=context), 10 * options.evaluations)
+        player = Player(Node("player", context=context), 2 * options.evaluations)
         process = NodeProcess.start(
             *("-m", "mobo_tuner.nodes.page", "--ros-args", "-p", "port:=0"),
             stdout_path=folder / "page.out",
@@ -160,19 +167,29 @@ def measure(options: argparse.Namespace, folder: Path) -> None:
             context.try_shutdown()
 
 
+def fill(player: Player, evaluations: int) -> None:
+    """Publish many evaluations at once."""
+    while player.count < evaluations:
+        player.publish(whole=player.count % 100 == 0)
+        time.sleep(0.001)  # so that the messages leave before the next ones
+
+
 def follow(
     player: Player, page: Page, session: CDPSession, pid: int, options: argparse.Namespace
 ) -> None:
     """Publish, and print memory and lag every ten seconds."""
     print(f"server {resident(pid):.0f} MB before")
-    while player.count < options.evaluations:
-        player.publish(whole=player.count % 100 == 0)
-        time.sleep(0.001)  # so that the messages leave before the next ones
+    fill(player, options.evaluations)
     page.wait_for_timeout(5000)
     began = time.monotonic()
-    noted, lags = 0.0, []
+    noted, made, lags = 0.0, 0, []
     while (spent := time.monotonic() - began) < options.seconds:
+        if player.count >= 2 * options.evaluations:
+            player.begin()
+            fill(player, options.evaluations)
+            page.wait_for_timeout(5000)
         player.publish()
+        made += 1
         published = time.monotonic()
         if player.count % 20 == 0:
             while shown(page) < player.count:
@@ -184,7 +201,8 @@ def follow(
         if spent >= noted:
             noted += 10.0
             print(
-                f"{spent:4.0f} s: {player.count} evaluations, server {resident(pid):.0f} MB, "
+                f"{spent:4.0f} s: {player.count} evaluations, {made / max(spent, 1.0):.1f} a second, "
+                f"server {resident(pid):.0f} MB, "
                 f"tab {heap(session):.0f} MB, longest lag {max(lags, default=0.0):.2f} s",
                 flush=True,
             )

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
-
 import moocore
 import numpy as np
 import pytest
-from scipy.stats import spearmanr
 
 from mobo_tuner.core.pareto import (
     BoolArray,
     FloatArray,
-    conflicting_pair,
     count_nondominated,
     is_below,
     is_nondominated,
@@ -97,15 +93,3 @@ def test_wrong_shape(points: FloatArray) -> None:
 def test_wrong_number_of_objectives() -> None:
     with pytest.raises(ValueError, match="points must have 3 columns, not 2"):
         pareto_front([[1.0, 2.0]], np.ones(3))
-
-
-def test_the_pair_that_conflicts_most_against_scipy() -> None:
-    rng = np.random.default_rng(3)
-    for _ in range(20):
-        front = rng.normal(size=(30, 4)) @ rng.normal(size=(4, 5))
-        pairs = list(itertools.combinations(range(5), 2))
-        correlations = [spearmanr(front[:, i], front[:, j])[0] for i, j in pairs]
-        assert conflicting_pair(front) == pairs[int(np.argmin(correlations))]
-    front[:, 0] = np.nan
-    assert 0 not in conflicting_pair(front)
-    assert conflicting_pair(front[:2]) == (0, 1)

@@ -135,7 +135,7 @@ def test_the_health_of_a_part_that_falls_silent_is_stale() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "text"), [(431.2, "431.2"), (-0.5, "−0.5"), (math.nan, "–"), (2.978e8, "2.978e+08")]
+    ("value", "text"), [(431.2, "431.2"), (-0.5, "−0.5"), (math.nan, "–"), (2.978e8, "2.978×10⁸")]
 )
 def test_numbers_are_short(value: float, text: str) -> None:
     assert number(value) == text

@@ -123,7 +123,7 @@ def test_the_front_shows_each_evaluation_once_where_it_belongs() -> None:
     assert [p["value"][2] for p in series(options, "infeasible")] == [4, 7]
     assert series(options, "failed") == []  # they have no place among the objectives
     assert [p["value"][2] for p in series(options, "chosen")] == [1]
-    assert "x  0 A" in series(options, "front")[0]["name"]
+    assert "x 0.0000 A" in series(options, "front")[0]["name"]
 
 
 def test_a_point_of_the_models_is_told_from_a_measured_one() -> None:
@@ -160,3 +160,59 @@ def test_the_limits_of_a_diagnostic_and_its_error_bars_are_drawn() -> None:
     assert points["markLine"]["data"] == [{"yAxis": 0.5}]
     [bar, _] = series(traces.diagnostic(run, "f0", "", chart_parts.DARK), "standard deviation")
     assert bar[3:] == pytest.approx([-0.1, 0.1])
+
+
+@pytest.mark.parametrize("objectives", [2, 7])
+def test_a_problem_that_changed_during_the_run_is_drawn_with_what_was_measured(
+    objectives: int,
+) -> None:
+    run = make_run(make_problem(objectives), 12, ("feasible", "failed", "infeasible"), points=4)
+    content = make_problem(objectives + 1).to_dict()
+    content["variables"] = {
+        "x": {"min": 0.2, "max": 0.4},
+        "z": {"min": 0.0, "max": 1.0, "unit": "A"},
+    }
+    content["constraints"] = {"g": {"min": 0.1, "max": 0.3}, "h": {"max": 1.0}}
+    run.problem = Problem.from_dict(content)
+    added = f"f{objectives}"
+    for colours in COLOURS:
+        plots = [*every_plot(run, colours), charts.front(run, "f0", added, 0, colours)]
+        json.dumps(plots, allow_nan=False)
+    assert series(charts.front(run, "f0", added, 0, chart_parts.DARK), "feasible") == []
+    [*_, variable] = run.problem.variables
+    assert series(traces.variable(run, variable, chart_parts.DARK), "set-point") == []
+    drawn = traces.diagnostic(run, "g", "", chart_parts.DARK)
+    assert drawn["title"]["text"] == "g, 0.1 to 0.3"
+
+
+def test_a_resumed_run_continues_the_indices_of_the_earlier_one() -> None:
+    problem = make_problem(2)
+    run = make_run(problem, 5)
+    for index in (3, 4, 5, 6):  # the first two come once more
+        run.add(make_evaluation(index, 2))
+    drawn = series(charts.hypervolume(run, chart_parts.DARK), "hypervolume")
+    assert [x for x, _ in drawn] == [1, 2, 3, 4, 5, 6, 7]
+    shown = series(traces.variable(run, problem.variables[0], chart_parts.DARK), "set-point")
+    assert [point["value"][0] for point in shown] == [*range(7)]
+
+
+def test_the_legend_names_what_is_there_and_one_evaluation_is_seen() -> None:
+    run = make_run(make_problem(2), 1)
+    assert charts.front(run, "f0", "f1", None, chart_parts.DARK)["legend"]["data"] == [
+        "front",
+        "feasible",
+        "last",
+    ]
+    assert {s["symbol"] for s in charts.hypervolume(run, chart_parts.DARK)["series"]} == {"circle"}
+
+
+def test_a_chosen_point_that_left_the_front_stays_chosen() -> None:
+    run = make_run(make_problem(2), 6, ("feasible", "infeasible"), points=1)
+    ring = series(charts.front(run, "f0", "f1", 4, chart_parts.DARK), "chosen")
+    assert [point["value"][2] for point in ring] == [4]
+    assert (run.is_on_front(0), run.is_on_front(4)) == (True, False)
+    point = run.point(4)
+    assert point is not None
+    assert point.setpoint == run.evaluations[4].setpoint
+    assert run.point(5) is None  # infeasible
+    assert run.point(None) is run.point(99) is None

@@ -46,6 +46,18 @@ def test_what_changes_is_read_again(tmp_path: Path) -> None:
     assert runs.runs()[0].state == "finished"
 
 
+def test_an_active_run_shows_how_far_it_is(tmp_path: Path) -> None:
+    make(tmp_path, "a", state="running")
+    journal = tmp_path / "a" / "journal.jsonl"
+    runs = History(tmp_path)
+    for index in (0, 6):
+        with journal.open("a", encoding="utf-8") as file:
+            record = {"type": "evaluation", "index": index, "hypervolume": 2.5}
+            file.write(json.dumps(record) + "\n")
+        [run] = runs.runs()
+        assert (run.state, run.evaluations, run.hypervolume) == ("running", index + 1, 2.5)
+
+
 @pytest.mark.parametrize("text", ["", "[]", "{", '{"state": 7, "started": null}', "[" * 9999])
 def test_a_broken_file_hides_no_run(tmp_path: Path, text: str) -> None:
     make(tmp_path, "a", {"evaluations": "many", "hypervolume": None})

@@ -12,7 +12,6 @@ from mobo_tuner.runs.recorded_run import RecordedRun
 from mobo_tuner.runs.report.figures import (
     front_figure,
     hypervolume_figure,
-    product_of_units,
     staircase,
 )
 from tests.support.run_folders import TWO, evaluation, write_run
@@ -57,19 +56,6 @@ def test_the_hypervolume_is_shown_with_failures_and_the_product_of_units(mixed: 
     assert np.asarray(line.get_ydata()).tolist() == [10.0 * i for i in range(8)]
     labels = axes.get_legend_handles_labels()[1]
     assert {"initial design", "failed", "infeasible"} <= set(labels)
-
-
-@pytest.mark.parametrize(
-    ("units", "product"),
-    [
-        (["mm", "mm", "mm mrad", "mm mrad", "MeV"], "mm² (mm mrad)² MeV"),
-        (["", "nC", ""], "nC"),
-        (["", ""], ""),
-        (["mm mrad", "MV/m"], "mm mrad MV/m"),
-    ],
-)
-def test_the_unit_of_a_product(units: list[str], product: str) -> None:
-    assert product_of_units(units) == product
 
 
 def test_the_staircase_bounds_the_dominated_area() -> None:

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mobo_tuner.client.values import Evaluation, Front, Point
-from mobo_tuner.core.pareto import is_nondominated
 from mobo_tuner.core.problem import Problem
 from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import read_journal
@@ -97,6 +96,9 @@ def _nondominated(problem: Problem, evaluations: list[Evaluation]) -> list[Point
     values = [[e.objectives[name] for name in problem.objective_names] for e in feasible]
     if not values:
         return []
+    # Only here: compiled code costs a client 60 MB.
+    from mobo_tuner.core.pareto import is_nondominated
+
     kept = is_nondominated(signs * np.array(values))
     return [
         Point(e.index, e.setpoint, e.objectives, {n: e.stddev(n) for n in e.objectives})

@@ -8,8 +8,6 @@ Infinities are ordinary values. Of exact duplicates the first row counts and the
 
 from __future__ import annotations
 
-from itertools import combinations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -148,25 +146,3 @@ def pareto_front(points: ArrayLike, reference: ArrayLike) -> FloatArray:
     points = as_points(points, "points", len(np.asarray(reference)))
     below = points[is_below(points, reference)]
     return below[is_nondominated(below)]
-
-
-def conflicting_pair(front: FloatArray) -> tuple[int, int]:
-    """Return the columns of the two objectives that conflict most on a front.
-
-    Args:
-        front: Minimised objectives of the front, `(n, P)`, P at least 2; NaN if not measured.
-
-    Returns:
-        The pair with the lowest rank correlation (Spearman's) over the points that have both; the
-        first such pair, or `(0, 1)` if fewer than three points do.
-    """
-    best, lowest = (0, 1), np.inf
-    for pair in combinations(range(front.shape[1]), 2):
-        both = front[:, pair]
-        both = both[np.isfinite(both).all(axis=1)]
-        ranks = np.argsort(np.argsort(both, axis=0, kind="stable"), axis=0)
-        if len(both) >= 3:
-            correlation = np.atleast_2d(np.corrcoef(ranks.T))[0, 1]
-            if correlation < lowest - 1e-12:
-                best, lowest = pair, correlation
-    return best

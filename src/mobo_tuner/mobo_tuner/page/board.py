@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from mobo_tuner.client import Evaluation, Front, Status
+from mobo_tuner.client import Evaluation, Front, Point, Status
 from mobo_tuner.client.values import evaluation_of, front_of, problem_of, status_of
 from mobo_tuner.core.problem import Problem
 from mobo_tuner.displays.progress import RunProgress
@@ -96,6 +96,21 @@ class RunBoard:
             self._best_hypervolume = evaluation.hypervolume
             self.gained_at = len(self.evaluations)
         return True
+
+    def is_on_front(self, index: int | None) -> bool:
+        """Return whether an evaluation is on the front."""
+        return self.front is not None and any(p.index == index for p in self.front.points)
+
+    def point(self, index: int | None) -> Point | None:
+        """Return a point of the front or another feasible evaluation; None if there is none of the index."""
+        for point in self.front.points if self.front is not None else ():
+            if point.index == index:
+                return point
+        for evaluation in self.evaluations:
+            if evaluation.index == index and evaluation.valid and evaluation.feasible:
+                stddevs = {name: evaluation.stddev(name) for name in evaluation.objectives}
+                return Point(index, evaluation.setpoint, evaluation.objectives, stddevs)
+        return None
 
     @property
     def without_gain(self) -> int:

@@ -9,9 +9,15 @@ from typing import Any
 
 MAX_POINTS = 600  # of a series; more are thinned out
 FONT = "Roboto, sans-serif"
-NUMBER = """(value) => Math.abs(value) >= 1e5
-  ? value.toExponential().replace("e+", "e") : value.toLocaleString("en-US", {useGrouping: false})
-"""
+NUMBER = """(value) => {
+  const size = Math.abs(value);
+  if (size < 1e5 && (size >= 1e-3 || size === 0)) {
+    return value.toLocaleString("en-US", {useGrouping: false}).replace("-", "−");
+  }
+  const [digits, power] = value.toExponential().split("e");
+  const raised = [...power.replace("+", "")].map((c) => c === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[c]).join("");
+  return `${Number(Number(digits).toFixed(3))}×10${raised}`.replace("-", "−");
+}"""
 _ERROR_BAR = """(params, api) => {
   const low = api.coord([api.value(0), api.value(3)]);
   const high = api.coord([api.value(0), api.value(4)]);
@@ -26,6 +32,7 @@ Options = dict[str, Any]
 class Colours:
     """Colours of a plot, from the palette of Okabe and Ito, which the colour-blind can tell apart."""
 
+    card: str
     text: str
     faint: str
     grid: str
@@ -38,6 +45,7 @@ class Colours:
 
 
 DARK = Colours(
+    card="#17202c",
     text="#e6e9ef",
     faint="#a3acba",
     grid="#333c4a",
@@ -49,6 +57,7 @@ DARK = Colours(
     chosen="#ffffff",
 )
 LIGHT = Colours(
+    card="#ffffff",
     text="#1b2330",
     faint="#525c6b",
     grid="#dde2e9",
@@ -91,9 +100,10 @@ def options(colours: Colours, **parts: Any) -> Options:
     }
 
 
-def legend(colours: Colours, names: Sequence[str]) -> Options:
-    """Return a legend of series, by their names."""
+def legend(colours: Colours, names: Sequence[str], *, lines: bool = False) -> Options:
+    """Return a legend of series, by their names; `lines` says whether they are lines."""
     return {
+        **({"icon": "rect", "itemHeight": 3} if lines else {}),
         "data": [*names],
         "type": "scroll",
         "top": 4,
@@ -111,21 +121,44 @@ def title(text: str, colours: Colours) -> Options:
     return {"text": text, "left": 8, "top": 6, "textStyle": style}
 
 
-def axis(name: str, colours: Colours, gap: int, **parts: Any) -> Options:
-    """Return an axis of numbers; `gap` is the distance of its name [px]."""
+def axis(
+    name: str,
+    colours: Colours,
+    gap: int,
+    *,
+    labels: Sequence[float] = (),
+    bare_ends: bool = False,
+    **parts: Any,
+) -> Options:
+    """Return an axis of numbers.
+
+    Args:
+        name: Name of the axis, with the unit.
+        colours: Colours of the plot.
+        gap: Distance of the name [px].
+        labels: Values that are labelled; empty = round ones.
+        bare_ends: Whether the ends are not labelled, as they are not round.
+        parts: Further options.
+    """
+    label: Options = {
+        "color": colours.faint,
+        "fontSize": 13,
+        "fontFamily": FONT,
+        "hideOverlap": True,
+        ":formatter": NUMBER,
+    }
+    if bare_ends:
+        label |= {"showMinLabel": False, "showMaxLabel": False}
+    if labels:
+        label["customValues"] = [*labels]
+        parts = {"axisTick": {"customValues": [*labels]}, "splitLine": {"show": False}, **parts}
     return {
         "type": "value",
         "name": name,
         "nameLocation": "middle",
         "nameGap": gap,
         "nameTextStyle": {"color": colours.text, "fontSize": 15, "fontFamily": FONT},
-        "axisLabel": {
-            "color": colours.faint,
-            "fontSize": 13,
-            "fontFamily": FONT,
-            "hideOverlap": True,
-            ":formatter": NUMBER,
-        },
+        "axisLabel": label,
         "axisLine": {"onZero": False, "lineStyle": {"color": colours.faint}},
         "splitLine": {"lineStyle": {"color": colours.grid}},
         "splitNumber": 4,
@@ -169,7 +202,7 @@ def curve(
         "name": name,
         "data": [*data],
         "step": "end",
-        "symbol": "none",
+        "symbol": "circle" if len(data) == 1 else "none",  # a line of one point is not drawn
         "lineStyle": {"color": colour, "width": width, "type": "dashed" if dashed else "solid"},
         "itemStyle": {"color": colour},
     }

@@ -7,14 +7,15 @@ evaluation as their third value. Tooltips are drawn on the canvas, where text is
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from mobo_tuner.client import Evaluation, Point
-from mobo_tuner.core.problem import Objective, Problem
+from mobo_tuner.core.problem import Objective, Problem, Variable
 from mobo_tuner.displays.settings import labelled
 from mobo_tuner.page.board import RunBoard
 from mobo_tuner.page.chart_parts import (
     FONT,
+    NUMBER,
     Colours,
     Options,
     axis,
@@ -26,7 +27,7 @@ from mobo_tuner.page.chart_parts import (
     scatter,
     thinned,
 )
-from mobo_tuner.page.words import measured, number, quantity
+from mobo_tuner.page.words import measured, place
 
 MAX_LINES = 150  # of the parallel coordinates
 FAINT: Options = {"itemStyle": {"opacity": 0.15}}
@@ -63,7 +64,7 @@ def front(
     for evaluation in run.evaluations:
         if evaluation.index in on_front:
             continue
-        place = _place(evaluation, x, y)
+        place = _evaluated(evaluation, x, y, problem)
         if place is not None:
             group = (
                 failed if not evaluation.valid else others if evaluation.feasible else infeasible
@@ -75,13 +76,17 @@ def front(
     ]
     measured_points = [point for point, is_guessed in drawn if not is_guessed]
     guessed = [point for point, is_guessed in drawn if is_guessed]
-    last = [p for p in [_place(e, x, y) for e in run.evaluations[-1:]] if p is not None]
-    ring = [p for p in (*measured_points, *guessed) if p["value"][2] == chosen]
+    ends = [_evaluated(evaluation, x, y, problem) for evaluation in run.evaluations[-1:]]
+    last = [point for point in ends if point is not None]
+    ring = [p for p in (*measured_points, *guessed, *others) if p["value"][2] == chosen]
+    shown = {"model": guessed, "feasible": others, "infeasible": infeasible, "failed": failed}
     used = [*measured_points, *guessed, *others, *last] or [*infeasible, *failed]
     return options(
         colours,
         grid=[{"left": 62, "right": 20, "top": 42, "bottom": 46}],
-        legend=legend(colours, ["front", "model", "feasible", "infeasible", "failed", "last"]),
+        legend=legend(
+            colours, ["front", *(name for name, group in shown.items() if group), "last"]
+        ),
         xAxis=[_objective_axis(objectives[x], [p["value"][0] for p in used], colours, 28)],
         yAxis=[_objective_axis(objectives[y], [p["value"][1] for p in used], colours, 46)],
         series=[
@@ -118,9 +123,9 @@ def hypervolume(run: RunBoard, colours: Colours) -> Options:
     plot = options(
         colours,
         grid=[{"left": 62, "right": 20, "top": 42, "bottom": 46}],
-        legend=legend(colours, ["hypervolume", "of the readings as they are"]),
+        legend=legend(colours, ["hypervolume", "of the readings as they are"], lines=True),
         xAxis=[axis("evaluations", colours, 28, min=0, minInterval=1)],
-        yAxis=[axis("hypervolume", colours, 46)],
+        yAxis=[axis("hypervolume", colours, 46, splitNumber=2)],
         series=[
             curve("of the readings as they are", plain, colours.others, dashed=True),
             curve("hypervolume", modelled, colours.front, width=3),
@@ -147,7 +152,7 @@ def compared(runs: Sequence[RunBoard], colours: Colours) -> Options:
     plot = options(
         colours,
         grid=[{"left": 62, "right": 20, "top": 42, "bottom": 46}],
-        legend=legend(colours, names),
+        legend=legend(colours, names, lines=True),
         xAxis=[axis("evaluations", colours, 28, min=0, minInterval=1)],
         yAxis=[axis("hypervolume", colours, 46)],
         series=lines,
@@ -165,7 +170,7 @@ def parallel(run: RunBoard, chosen: int | None, colours: Colours) -> Options:
     axes = [
         *(_parallel_axis(i, o.name, o.unit, colours) for i, o in enumerate(problem.objectives)),
         *(
-            _parallel_axis(i, v.name, v.unit, colours) | {"min": v.minimum, "max": v.maximum}
+            _bounded(_parallel_axis(i, v.name, v.unit, colours), v)
             for i, v in enumerate(problem.variables, start=len(problem.objectives))
         ),
     ]
@@ -210,6 +215,7 @@ def _objective_axis(
         f"{labelled(objective.name, objective.unit)}, {arrow}",
         colours,
         gap,
+        bare_ends=True,
         min=_rounded(low - margin, margin),
         max=_rounded(high + margin, margin),
     )
@@ -233,14 +239,25 @@ def _parallel_axis(position: int, name: str, unit: str, colours: Colours) -> Opt
             "fontFamily": FONT,
         },
         "axisLabel": {
-            "color": colours.faint,
+            "color": colours.text,
             "fontSize": 12,
             "fontFamily": FONT,
             "hideOverlap": True,
+            "textBorderColor": colours.card,  # the lines of the points run through the labels
+            "textBorderWidth": 4,
+            ":formatter": NUMBER,
         },
         "axisLine": {"lineStyle": {"color": colours.faint}},
         "splitNumber": 3,
     }
+
+
+def _bounded(axis: Options, variable: Variable) -> Options:
+    """Return an axis that ends at the bounds of a variable."""
+    ends = variable.minimum, variable.maximum
+    values = [ends[0], 0.5 * (ends[0] + ends[1]), ends[1]]
+    axis["axisLabel"]["customValues"] = values
+    return axis | {"min": ends[0], "max": ends[1], "axisTick": {"customValues": values}}
 
 
 def _box(x: Objective, y: Objective, colours: Colours) -> Options:
@@ -255,14 +272,22 @@ def _box(x: Objective, y: Objective, colours: Colours) -> Options:
     return {"silent": True, "itemStyle": style, "data": [corners] if any(corners) else []}
 
 
-def _place(evaluation: Evaluation, x: str, y: str) -> Options | None:
+def _evaluated(evaluation: Evaluation, x: str, y: str, problem: Problem) -> Options | None:
     """Return an evaluation as a point; None if one of the objectives was not measured."""
     values = [evaluation.objectives.get(name, math.nan) for name in (x, y)]
     if not all(map(math.isfinite, values)):
         return None
-    lines = [f"evaluation {evaluation.index}"]
-    lines += [f"{name}  {number(value, 4)}" for name, value in evaluation.setpoint.items()]
+    lines = [f"evaluation {evaluation.index}", *setpoint_lines(evaluation.setpoint, problem)]
     return {"name": "\n".join(lines), "value": [*values, evaluation.index]}
+
+
+def setpoint_lines(setpoint: Mapping[str, float], problem: Problem) -> list[str]:
+    """Return a set-point, a line for each variable of the problem."""
+    return [
+        f"{v.name} {place(setpoint[v.name], v.maximum - v.minimum, v.unit)}"
+        for v in problem.variables
+        if v.name in setpoint
+    ]
 
 
 def _front_point(point: Point, x: str, y: str, problem: Problem) -> Options:
@@ -271,8 +296,7 @@ def _front_point(point: Point, x: str, y: str, problem: Problem) -> Options:
     for name, value in point.objectives.items():
         spread = point.stddevs.get(name, math.nan)
         lines.append(f"{name}  {measured(value, spread, units.get(name, ''))}")
-    for name, value in point.setpoint.items():
-        lines.append(f"{name}  {quantity(value, units.get(name, ''))}")
+    lines += setpoint_lines(point.setpoint, problem)
     values = [point.objectives.get(x, math.nan), point.objectives.get(y, math.nan)]
     return {"name": "\n".join(lines), "value": [*map(finite, values), point.index]}
 

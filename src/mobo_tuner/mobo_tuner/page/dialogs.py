@@ -11,10 +11,9 @@ from nicegui import ui
 from mobo_tuner.client import Point
 from mobo_tuner.core.problem import Variable
 from mobo_tuner.displays.settings import labelled, setting_value, settings_of
-from mobo_tuner.page.board import RunBoard
 from mobo_tuner.page.commands import Answer, Commands
 from mobo_tuner.page.viewer import Table, Viewer
-from mobo_tuner.page.words import number, quantity
+from mobo_tuner.page.words import number, place, quantity
 
 
 class Dialog:
@@ -47,7 +46,7 @@ class Dialog:
             self.title = ui.label(title).classes("dialog-title")
             self.title.props('role="heading" aria-level="2"')
             self.text = ui.label(text).classes("" if grave else "quiet")
-            self.body = ui.element("div")
+            self.body = ui.element("div").classes("dialog-body")
             self._refusal = ui.label().classes("refused").props('role="alert"').mark("refusal")
             with ui.element("div").classes("dialog-buttons"):
                 back = ui.button(
@@ -92,9 +91,9 @@ class GoDialog(Dialog):
     def open(self) -> None:
         """Show what would move, and ask."""
         board, run = self._viewer.board, self._viewer.board.run
-        point = chosen_point(run, self._viewer.chosen)
+        point = None if run is None else run.point(self._viewer.chosen)
         if run is None or run.problem is None or point is None or self._viewer.past is not None:
-            self._viewer.say(Answer(False, "choose a point of the front of this run first"))
+            self._viewer.say(Answer(False, "choose a point of this run first"))
             return
         self._point, self._run_id = point, run.run_id
         units = run.problem.units
@@ -113,7 +112,8 @@ class GoDialog(Dialog):
         for variable in run.problem.variables:
             name, here = variable.name, board.here.get(variable.name, math.nan)
             new = point.setpoint.get(name, math.nan)
-            way = f"{number(here)} → {quantity(new, variable.unit)}"
+            span = variable.maximum - variable.minimum
+            way = f"{place(here, span)} → {place(new, span, variable.unit)}"
             rows.append((name, way, travel(variable, here, new)))
         self._table.show(rows)
         super().open()
@@ -162,16 +162,16 @@ class QueueDialog(Dialog):
         if run is None or run.problem is None:
             self._viewer.say(Answer(False, "no run is known yet"))
             return
-        point = chosen_point(run, self._viewer.chosen)
+        point = run.point(self._viewer.chosen)
         values = board.here if point is None else point.setpoint
         self.body.clear()
         self._fields.clear()
         with self.body:
             for variable in run.problem.variables:
-                value = values.get(variable.name)
+                value = proposed(variable, values.get(variable.name))
                 label = f"{labelled(variable.name, variable.unit)}, "
                 label += f"{number(variable.minimum)} to {number(variable.maximum)}"
-                field = ui.number(label, value=None if value is None else float(f"{value:.6g}"))
+                field = ui.number(label, value=value)
                 self._fields[variable.name] = field.props("dense outlined step=any")
         super().open()
 
@@ -246,10 +246,11 @@ class MoreDialog(Dialog):
         return await self._commands.more(status.run_id, total)
 
 
-def chosen_point(run: RunBoard | None, index: int | None) -> Point | None:
-    """Return the point of a run's front that was chosen; None if there is none."""
-    points = run.front.points if run is not None and run.front is not None else ()
-    return next((point for point in points if point.index == index), None)
+def proposed(variable: Variable, value: float | None) -> float | None:
+    """Return a value for a field: within the bounds, which a readback may be just outside of."""
+    if value is None or not math.isfinite(value):
+        return None
+    return float(f"{min(max(value, variable.minimum), variable.maximum):.6g}")
 
 
 def _float(value: Any) -> float:

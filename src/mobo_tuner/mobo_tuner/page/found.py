@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from nicegui import events, ui
 
 from mobo_tuner.client import Point
-from mobo_tuner.core.pareto import conflicting_pair
+from mobo_tuner.core.conflict import conflicting_pair
 from mobo_tuner.core.problem import Problem
+from mobo_tuner.core.units import product_of_units
 from mobo_tuner.page import chart_parts, charts
 from mobo_tuner.page.board import RunBoard
 from mobo_tuner.page.viewer import Table, Viewer, card
@@ -37,7 +38,9 @@ class FrontPanel:
                 ui.label("Pareto front").classes("card-title").props(
                     'role="heading" aria-level="2"'
                 )
-                self._note = ui.label().classes("quiet grow")
+                self._note = ui.label("It is drawn from the first evaluation on.").classes(
+                    "quiet grow"
+                )
                 self._x = self._select("horizontal axis", "x")
                 self._y = self._select("vertical axis", "y")
             self.chart = ui.echart(dict(EMPTY), on_point_click=self._click).classes("chart tall")
@@ -50,7 +53,11 @@ class FrontPanel:
             setattr(self._viewer, axis, event.value or "")
             self._viewer.choices += 1
 
-        return ui.select([], label=label, on_change=chosen).props("dense outlined").classes("axis")
+        select = (
+            ui.select([], label=label, on_change=chosen).props("dense outlined").classes("axis")
+        )
+        select.set_visibility(False)
+        return select
 
     def refresh(self, run: RunBoard) -> None:
         """Show the front as it is now."""
@@ -63,16 +70,27 @@ class FrontPanel:
             self._settled = len(names) < 3
             self._x.set_options(names, value=self._plane[0])
             self._y.set_options(names, value=self._plane[1])
+            for select in (self._x, self._y):
+                select.set_visibility(True)
             viewer.x, viewer.y = self._plane
         points = run.front.points if run.front is not None else ()
         size = len(points)
         if not self._settled and size >= TELLING:
             self._settle(points, problem)
-        self._note.set_text(f"{size} points" + ("" if size else ": none is feasible yet"))
+        points_of = "1 point" if size == 1 else f"{size} points"
+        self._note.set_text(points_of if size else self._why_empty(run))
         show(
             self.chart,
             charts.front(run, viewer.x, viewer.y, viewer.chosen, viewer.colours, viewer.wants),
         )
+
+    def _why_empty(self, run: RunBoard) -> str:
+        """Return why there is no front."""
+        if not run.evaluations:
+            return "nothing was evaluated yet"
+        if not any(evaluation.feasible for evaluation in run.evaluations):
+            return "no point is feasible yet"
+        return "no feasible point is better than the reference yet"
 
     def _settle(self, points: Sequence[Point], problem: Problem) -> None:
         """Show the two objectives that conflict most, once, unless the viewer chose others."""
@@ -101,6 +119,7 @@ class HypervolumePanel:
             with ui.element("div").classes("card-head"):
                 ui.label("Hypervolume").classes("card-title").props('role="heading" aria-level="2"')
                 self._value = ui.label().classes("figure")
+                self._unit = ui.label().classes("quiet")
                 self._gain = ui.label().classes("quiet grow")
             self.chart = ui.echart(dict(EMPTY)).classes("chart low")
             self.chart.props('role="img" aria-label="hypervolume over the evaluations"')
@@ -108,6 +127,9 @@ class HypervolumePanel:
     def refresh(self, run: RunBoard) -> None:
         """Show the hypervolume as it is now."""
         self._value.set_text(number(run.progress.hypervolume, 4))
+        problem = run.problem
+        units = [] if problem is None else [objective.unit for objective in problem.objectives]
+        self._unit.set_text(product_of_units(units))
         idle = run.without_gain
         self._gain.set_text(f"nothing gained for {idle} evaluations" if idle >= STAGNATION else "")
         show(self.chart, charts.hypervolume(run, self._viewer.colours))
@@ -168,7 +190,7 @@ class PointsPanel:
             self._table.columns = [
                 {
                     "name": name,
-                    "label": f"{name} [{units[name]}]" if units.get(name) else name,
+                    "label": f"{name}\n[{units[name]}]" if units.get(name) else name,
                     "field": name,
                     "sortable": True,
                     "align": "right",
@@ -181,16 +203,18 @@ class PointsPanel:
         if rows != self._shown:
             self._shown = rows
             self._table.rows = [dict(row) for row in rows]
-        self._show_chosen(points, run.problem.units)
+        self._show_chosen(run, run.problem)
 
-    def _show_chosen(self, points: Sequence[Point], units: Mapping[str, str]) -> None:
+    def _show_chosen(self, run: RunBoard, problem: Problem) -> None:
         """Show the chosen point in words and in the table."""
         index = self._viewer.chosen
-        text = "None is chosen; click on one."
-        for point in points:
-            if point.index == index:
-                values = [f"{n} {quantity(v, units.get(n, ''))}" for n, v in point.setpoint.items()]
-                text = f"Chosen is {index}: {', '.join(values)}"
+        point = run.point(index)
+        text = "None is chosen; click on one." if self._shown else "There is none yet."
+        if point is not None:
+            values = charts.setpoint_lines(point.setpoint, problem)
+            text = f"Chosen is {index}: {', '.join(values)}"
+            if not run.is_on_front(index):
+                text += "; it is not on the front"
         self._chosen.set_text(text)
         chosen = [row for row in self._shown if row["#"] == index]
         if self._table.selected != chosen:
@@ -220,6 +244,7 @@ class CoordinatesPanel:
             self._note = ui.label().classes("quiet grow").mark("brush-note")
             self._clear = ui.button("Show all points", on_click=self._forget, color=None)
             self._clear.props("no-caps flat")
+        self._clear.set_visibility(False)
         self.chart = ui.echart(dict(EMPTY)).classes("chart wide")
         self.chart.props(
             'role="img" aria-label="objectives and variables of all points of the front"'
@@ -282,6 +307,6 @@ def show(chart: ui.echart, options: chart_parts.Options) -> None:
 
 
 def _row(point: Point) -> dict[str, Any]:
-    values = {name: float(f"{value:.5g}") for name, value in point.objectives.items()}
+    values = {name: float(f"{value:.4g}") for name, value in point.objectives.items()}
     finite = {name: value if math.isfinite(value) else None for name, value in values.items()}
     return {"#": point.index, **finite}

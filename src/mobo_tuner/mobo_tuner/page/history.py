@@ -96,8 +96,8 @@ class History:
 
     def _read(self, folder: Path) -> PastRun:
         stamps = (_changed(folder / RUN_FILE), _changed(folder / SUMMARY_FILE))
-        if not any(stamps):
-            stamps = (0, _changed(folder / JOURNAL_FILE))
+        if not stamps[1]:
+            stamps = (stamps[0], _changed(folder / JOURNAL_FILE))
         known = self._known.get(folder)
         if known is None or known[0] != stamps:
             known = (stamps, _past_run(folder))
@@ -107,8 +107,9 @@ class History:
 
 def _past_run(folder: Path) -> PastRun:
     facts, summary = _content(folder / RUN_FILE), _content(folder / SUMMARY_FILE)
-    if not facts and not summary:  # a run of nodes that stay
-        facts, summary = _last_records(folder / JOURNAL_FILE)
+    if not summary:  # it is active, was killed, or is that of nodes that stay
+        told, summary = _last_records(folder / JOURNAL_FILE)
+        facts = facts or told
     hypervolume = summary.get("hypervolume")
     return PastRun(
         run_id=folder.name,

@@ -46,6 +46,9 @@ def model_slice(
     ]
     gain = [[x, a] for x, a in zip(values, part["acquisition"], strict=True)]
     here = [{"xAxis": content["setpoint"][variable]}]
+    bounds = values[0], values[-1]
+    labels = bounds[0], 0.5 * (bounds[0] + bounds[1]), bounds[1]
+    least, most = _reach(content, output)
     band = {"type": "line", "stack": "band", "symbol": "none", "lineStyle": {"opacity": 0.0}}
     plain = {"type": "line", "symbol": "none"}
     return options(
@@ -56,11 +59,19 @@ def model_slice(
             {"left": 58, "right": 14, "height": 34, "bottom": 24},
         ],
         xAxis=[
-            axis("", colours, 0, min=values[0], max=values[-1], axisLabel={"show": False}),
-            axis("", colours, 0, min=values[0], max=values[-1], gridIndex=1),
+            axis(
+                "",
+                colours,
+                0,
+                labels=labels,
+                min=bounds[0],
+                max=bounds[1],
+                axisLabel={"show": False},
+            ),
+            axis("", colours, 0, labels=labels, min=bounds[0], max=bounds[1], gridIndex=1),
         ],
         yAxis=[
-            axis("", colours, 0),
+            axis("", colours, 0, bare_ends=True, min=least, max=most),
             axis("", colours, 0, gridIndex=1, min=0.0, max=1.0, show=False),
         ],
         series=[
@@ -91,6 +102,18 @@ def model_slice(
             },
         ],
     )
+
+
+def _reach(content: Mapping[str, Any], output: str) -> tuple[float | None, float | None]:
+    """Return the ends of the bands of all slices, so that one look tells which variable matters."""
+    ends = [
+        mean + sign * BAND * (stddev or 0.0)
+        for part in content["slices"].values()
+        for mean, stddev in zip(part["means"][output], part["stddevs"][output], strict=True)
+        for sign in (-1.0, 1.0)
+        if mean is not None
+    ]
+    return min(ends, default=None), max(ends, default=None)
 
 
 def drivers(outputs: Sequence[Mapping[str, Any]], colours: Colours) -> Options:
@@ -172,8 +195,8 @@ def quality(output: Mapping[str, Any]) -> str:
     if skill is None or error is None or coverage is None:
         return ""
     return (
-        f"It explains {max(skill, 0.0):.0%} of the variance; the error is {quantity(error, output['unit'], 2)}; "
-        f"{coverage:.0%} lie within two standard deviations (95 % are right)."
+        f"The model explains {max(skill, 0.0):.0%} of the variance; the error is {quantity(error, output['unit'], 2)}; "
+        f"{coverage:.0%} lie within two standard deviations (95% are expected)."
     )
 
 

@@ -8,7 +8,7 @@ from nicegui import ui
 
 from mobo_tuner.page.board import Level
 from mobo_tuner.page.viewer import Table, Viewer, card
-from mobo_tuner.page.words import SYMBOLS, duration, number, quantity, state_of
+from mobo_tuner.page.words import SYMBOLS, duration, place, state_of
 
 LEAST_TRAVEL = 0.003  # share of a variable's range below which it counts as staying where it is
 _LEVEL_SYMBOLS: dict[Level, str] = {"ok": "✓", "warning": "!", "error": "✕", "stale": "?"}
@@ -50,7 +50,8 @@ class StatePanel:
         self._sentence.set_text(state.sentence)
         done = max(status.evaluations, 0)
         self._count.set_text(f"{done} / {status.budget}" if status.budget else "")
-        left = run.progress.seconds_left if run is not None and board.is_running else math.nan
+        goes_on = board.is_running and status.state != "paused"
+        left = run.progress.seconds_left if run is not None and goes_on else math.nan
         notes = ["evaluations"] if status.budget else []
         notes += [f"about {duration(left)} left"] if math.isfinite(left) else []
         self._left.set_text(", ".join(notes))
@@ -82,18 +83,20 @@ class MotionPanel:
         problem = run.problem if run is not None else None
         units = problem.units if problem is not None else {}
         ranges = {v.name: v.maximum - v.minimum for v in problem.variables} if problem else {}
-        active = board.is_running or board.status.state == "moving"
+        state = board.status.state
+        active = state == "moving" or (board.is_running and state not in ("paused", "waiting"))
         self._title.set_text("What moves" if active else "Last move")
         rows = []
         for name, target in motion.target.items():
             unit = units.get(name, "")
             start, fraction = motion.start.get(name, math.nan), motion.fraction(name)
             here = motion.readbacks.get(name, math.nan)
-            way = f"{number(start)} → {quantity(target, unit)}"
+            span = ranges.get(name, 0.0)
+            way = f"{place(start, span)} → {place(target, span, unit)}"
             share = "" if math.isnan(fraction) else f"{fraction:.0%}"
-            if abs(target - start) < LEAST_TRAVEL * ranges.get(name, 0.0):
+            if abs(target - start) < LEAST_TRAVEL * span:
                 share = "stays"
-            rows.append((name, way, f"now {number(here)}", share))
+            rows.append((name, way, f"now {place(here, span)}", share))
         self._table.show(rows)
         self._none.set_visibility(not rows)
 
@@ -117,7 +120,8 @@ class HealthPanel:
             free = part.values.get("free disk space [GB]")
             if free is not None:
                 disk = f"{part.name.partition(': ')[0]}: disk"
-                rows.append((disk, word, f"{free} GB free"))
+                known = free not in ("nan", "")
+                rows.append((disk, word, f"{free} GB free" if known else "not in use yet"))
                 tones.append(f"level-{part.level}")
         self._table.show(rows, tones)
         self._none.set_visibility(not rows)

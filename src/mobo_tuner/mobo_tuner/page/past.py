@@ -105,4 +105,4 @@ class HistoryPanel:
 
 def _row(run: PastRun) -> dict[str, Any]:
     hypervolume = None if run.hypervolume is None else float(f"{run.hypervolume:.6g}")
-    return {**vars(run), "started": run.started.replace("T", " "), "hypervolume": hypervolume}
+    return {**vars(run), "started": run.started[:19].replace("T", " "), "hypervolume": hypervolume}

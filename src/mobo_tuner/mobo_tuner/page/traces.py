@@ -20,14 +20,19 @@ from mobo_tuner.page.chart_parts import (
     thinned,
     title,
 )
-from mobo_tuner.page.words import measured
+from mobo_tuner.page.words import limits, measured, place
 
 
 def variable(run: RunBoard, variable: Variable, colours: Colours) -> Options:
     """Return the plot of a variable over the evaluations, between its bounds."""
     name = variable.name
     made = [e for e in thinned(run.evaluations) if name in e.setpoint]
+    span = variable.maximum - variable.minimum
     bounds = [{"yAxis": variable.minimum}, {"yAxis": variable.maximum}]
+
+    def said(evaluation: Evaluation) -> str:
+        return place(evaluation.setpoint[name], span, variable.unit)
+
     return options(
         colours,
         title=title(labelled(name, variable.unit), colours),
@@ -38,14 +43,14 @@ def variable(run: RunBoard, variable: Variable, colours: Colours) -> Options:
             {
                 **scatter(
                     "set-point",
-                    [_trace(e, e.setpoint[name], variable.unit) for e in made if e.valid],
+                    [_trace(e, e.setpoint[name], said(e)) for e in made if e.valid],
                     *("circle", 5, colours.front),
                 ),
                 "markLine": marks(bounds, colours),
             },
             scatter(
                 "failed",
-                [_trace(e, e.setpoint[name], variable.unit) for e in made if not e.valid],
+                [_trace(e, e.setpoint[name], said(e)) for e in made if not e.valid],
                 *("path://M0,0L8,8M8,0L0,8", 8, colours.failed),
                 line=2,
             ),
@@ -65,17 +70,14 @@ def diagnostic(run: RunBoard, name: str, unit: str, colours: Colours) -> Options
     bars = []
     for evaluation, mean, stddev in known:
         spread = stddev if math.isfinite(stddev) else 0.0
-        bars.append([evaluation.index + 1, mean, mean, mean - spread, mean + spread])
-    limits = [
-        limit
-        for c in problem.constraints
-        if c.name == name
-        for limit in (c.minimum, c.maximum)
-        if math.isfinite(limit)
-    ]
+        bars.append([evaluation.index, mean, mean, mean - spread, mean + spread])
+    constraints = [c for c in problem.constraints if c.name == name]
+    ends = [end for c in constraints for end in (c.minimum, c.maximum) if math.isfinite(end)]
+    # The limits are in words, too: those far from all readings lie outside of the plot.
+    said = ", ".join([labelled(name, unit), *map(limits, constraints)])
     return options(
         colours,
-        title=title(labelled(name, unit), colours),
+        title=title(said, colours),
         grid=[{"left": 54, "right": 14, "top": 34, "bottom": 26}],
         xAxis=[axis("", colours, 0, min=0, minInterval=1)],
         yAxis=[axis("", colours, 0)],
@@ -84,20 +86,28 @@ def diagnostic(run: RunBoard, name: str, unit: str, colours: Colours) -> Options
             {
                 **scatter(
                     "feasible",
-                    [_trace(e, mean, unit, stddev) for e, mean, stddev in known if e.feasible],
+                    [
+                        _trace(e, mean, measured(mean, stddev, unit))
+                        for e, mean, stddev in known
+                        if e.feasible
+                    ],
                     *("circle", 5, colours.front),
                 ),
-                "markLine": marks([{"yAxis": limit} for limit in limits], colours),
+                "markLine": marks([{"yAxis": end} for end in ends], colours),
             },
             scatter(
                 "infeasible",
-                [_trace(e, mean, unit, stddev) for e, mean, stddev in known if not e.feasible],
+                [
+                    _trace(e, mean, measured(mean, stddev, unit))
+                    for e, mean, stddev in known
+                    if not e.feasible
+                ],
                 *("triangle", 7, colours.infeasible),
             ),
         ],
     )
 
 
-def _trace(evaluation: Evaluation, value: float, unit: str, stddev: float = math.nan) -> Options:
-    text = f"evaluation {evaluation.index}\n{measured(value, stddev, unit)}"
-    return {"name": text, "value": [evaluation.index + 1, finite(value), evaluation.index]}
+def _trace(evaluation: Evaluation, value: float, said: str) -> Options:
+    text = f"evaluation {evaluation.index}\n{said}"
+    return {"name": text, "value": [evaluation.index, finite(value), evaluation.index]}

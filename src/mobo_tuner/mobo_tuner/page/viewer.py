@@ -22,7 +22,7 @@ class Viewer:
         board: What is known.
         commands: Requests to the tuner; None if this viewer may only read.
         dark: Whether it is shown in the dark.
-        chosen: Index of the chosen point of the front.
+        chosen: Index of the chosen point.
         x: Objective of the horizontal axis; empty = the first.
         y: Objective of the vertical axis; empty = the second.
         brush: Intervals of objectives and variables in which points are wanted, by name.
@@ -67,10 +67,9 @@ class Viewer:
         )
 
     def choose(self, index: int | None) -> None:
-        """Choose a point of the front, if it is one."""
+        """Choose a point of the front or another feasible evaluation, if it is one."""
         run = self.run
-        points = run.front.points if run is not None and run.front is not None else ()
-        if index is None or any(point.index == index for point in points):
+        if index is None or (run is not None and run.point(index) is not None):
             self.chosen = index
             self.choices += 1
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from nicegui import background_tasks, ui
 
-from mobo_tuner.core.problem import Constraint, Problem
+from mobo_tuner.core.problem import Problem
 from mobo_tuner.displays.settings import labelled
 from mobo_tuner.page import chart_parts, model_charts, traces
 from mobo_tuner.page.board import RunBoard
@@ -17,16 +17,23 @@ from mobo_tuner.page.found import EMPTY, show
 from mobo_tuner.page.insights import Insights
 from mobo_tuner.page.model_charts import quality
 from mobo_tuner.page.viewer import Table, Viewer
-from mobo_tuner.page.words import number, quantity
+from mobo_tuner.page.words import limits, number
 
 Plot = Callable[[RunBoard], chart_parts.Options]
 
 
 class TracesPanel(ABC):
-    """One small plot for each quantity; the plots are made again only if the quantities change."""
+    """One small plot for each quantity; the plots are made again only if the quantities change.
+
+    Attributes:
+        note: What the plots have in common.
+    """
+
+    note: str
 
     def __init__(self, viewer: Viewer) -> None:
         self._viewer = viewer
+        ui.label(self.note).classes("quiet")
         self._charts: dict[str, ui.echart] = {}
         self._body = ui.element("div").classes("traces")
 
@@ -56,6 +63,10 @@ class TracesPanel(ABC):
 class VariablesPanel(TracesPanel):
     """Every variable over the evaluations, between its bounds."""
 
+    note = (
+        "Set-points over the index of the evaluation; dashed: bounds; crosses: failed evaluations."
+    )
+
     def plots(self, problem: Problem) -> dict[str, Plot]:
         """Return the plot of each variable."""
         colours = self._viewer.colours
@@ -67,6 +78,11 @@ class VariablesPanel(TracesPanel):
 
 class DiagnosticsPanel(TracesPanel):
     """Every objective and constrained diagnostic over the evaluations, with its limits."""
+
+    note = (
+        "Readings over the index of the evaluation, with one standard deviation; dashed: limits; triangles: "
+        "infeasible evaluations."
+    )
 
     def plots(self, problem: Problem) -> dict[str, Plot]:
         """Return the plot of each diagnostic."""
@@ -101,20 +117,9 @@ class ConstraintsPanel:
             last = "–" if not measured else number(measured[-1], 4)
             share = f"met in {met} of {len(measured)}"
             label = labelled(name, constraint.unit) + (", critical" if constraint.critical else "")
-            rows.append((label, _limit(constraint), f"last {last}", share))
+            rows.append((label, limits(constraint), f"last {last}", share))
         self._table.show(rows)
         self._none.set_visibility(not rows)
-
-
-def _limit(constraint: Constraint) -> str:
-    low, high, unit = constraint.minimum, constraint.maximum, constraint.unit
-    if math.isfinite(low) and math.isfinite(high):
-        return f"{number(low)} to {quantity(high, unit)}"
-    return (
-        f"at least {quantity(low, unit)}"
-        if math.isfinite(low)
-        else f"at most {quantity(high, unit)}"
-    )
 
 
 class ModelsPanel:
@@ -158,8 +163,9 @@ class ModelsPanel:
         chosen = outputs[self._output.value]
         where = "chosen" if index is not None else "last"
         self._note.set_text(
-            f"Slices through the {where} point, evaluation {content['index']}; all others stay. "
-            f"{quality(chosen)}"
+            f"{chosen['name']} with two standard deviations, and below it the acquisition function, along each "
+            f"variable through the {where} point, evaluation {content['index']}; the others stay as they are "
+            f"there. {quality(chosen)}"
         )
         shown = (id(content), chosen["name"], self._viewer.dark)
         if shown != self._shown:

@@ -7,7 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from mobo_tuner.core.problem import Constraint
+from mobo_tuner.core.units import raised
 from mobo_tuner.page.board import Board
+
+MOST_DECIMALS = 6
+LARGEST_PLACE = 1e6  # that is written without an exponent
 
 Tone = Literal["busy", "good", "wait", "bad", "still"]
 """Kind of a state, which has a colour and a symbol."""
@@ -88,7 +93,36 @@ def number(value: float, digits: int = 5) -> str:
     """Return a number for people; a dash if it is unknown."""
     if math.isnan(value):
         return "–"
-    return f"{value:.{digits}g}".replace("-", "−")
+    mantissa, _, exponent = f"{value:.{digits}g}".partition("e")
+    text = f"{mantissa}×10{raised(int(exponent))}" if exponent else mantissa
+    return text.replace("-", "−")
+
+
+def place(value: float, span: float, unit: str = "") -> str:
+    """Return a set-point with its unit, to a ten-thousandth of its range, so that its digits do not jump.
+
+    Args:
+        value: Value of a variable.
+        span: Range of the variable.
+        unit: Its unit.
+    """
+    decimals = math.ceil(4.0 - math.log10(span)) if 0.0 < span < math.inf else MOST_DECIMALS + 1
+    if not (0 <= decimals <= MOST_DECIMALS and abs(value) < LARGEST_PLACE):
+        return quantity(value, unit)
+    text = f"{round(value, decimals) + 0.0:.{decimals}f}".replace("-", "−")
+    return f"{text} {unit}".rstrip()
+
+
+def limits(constraint: Constraint) -> str:
+    """Return the limits of a constraint with their unit."""
+    low, high, unit = constraint.minimum, constraint.maximum, constraint.unit
+    if math.isfinite(low) and math.isfinite(high):
+        return f"{number(low)} to {quantity(high, unit)}"
+    return (
+        f"at least {quantity(low, unit)}"
+        if math.isfinite(low)
+        else f"at most {quantity(high, unit)}"
+    )
 
 
 def quantity(value: float, unit: str = "", digits: int = 5) -> str:

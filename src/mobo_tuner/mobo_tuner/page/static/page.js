@@ -9,9 +9,13 @@
     if (connected()) heard = Date.now();
     const seconds = Math.round((Date.now() - heard) / 1000);
     const gone = seconds >= 3;
+    const ended = /^(Finished|Stopped|Canceled|Failed) /.test(document.title);
     document.body.classList.toggle("server-gone", gone);
+    document.body.classList.toggle("run-ended", gone && ended);
     if (gone) {
-      note.textContent = `The page has lost its server: all of this is ${seconds} s old.`;
+      note.textContent = ended
+        ? "The run had ended before the page lost its server; its report is in the run's folder."
+        : `The page has lost its server: all of this is ${seconds} s old.`;
       document.body.append(note);
     } else {
       note.remove();

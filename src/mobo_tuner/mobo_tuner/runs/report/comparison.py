@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from mobo_tuner.core.problem import Objective
+from mobo_tuner.core.units import product_of_units
 from mobo_tuner.files import replace_file
 from mobo_tuner.runs.journal import JournalError
 from mobo_tuner.runs.recorded_run import RecordedRun
@@ -55,10 +56,11 @@ def render_comparison(runs: Sequence[RecordedRun]) -> str:
 def _convergence(runs: Sequence[RecordedRun], names: Sequence[str]) -> Plot:
     top = max(float(np.nanmax([0.0, *run.hypervolumes])) for run in runs)
     longest = max(len(run.indices) for run in runs)
+    unit = product_of_units([objective.unit for objective in runs[0].problem.objectives])
     plot = Plot(
         Axis(-0.5, max(longest - 0.5, 1.0), INDEX, integer=True),
         Axis(0.0, 1.08 * top or 1.0),
-        "hypervolume",
+        f"hypervolume [{unit}]" if unit else "hypervolume",
         size=MIDDLE,
         left=64,
     )

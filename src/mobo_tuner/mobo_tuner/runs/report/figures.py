@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,10 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from mobo_tuner.core.pareto import conflicting_pair, is_nondominated
+from mobo_tuner.core.conflict import conflicting_pair
+from mobo_tuner.core.pareto import is_nondominated
 from mobo_tuner.core.problem import Array, Objective
+from mobo_tuner.core.units import product_of_units
 from mobo_tuner.files import replace_file
 from mobo_tuner.runs.recorded_run import BoolArray, RecordedRun
 
@@ -39,7 +40,6 @@ _STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "legend.fontsize": 9.5,
 }
-_SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def write_figure(figure: Figure, path: Path) -> None:
@@ -116,15 +116,6 @@ def front_figure(run: RecordedRun) -> Figure:
                 bar.outline.set_visible(False)
         _legend(axes)
         return figure
-
-
-def product_of_units(units: list[str]) -> str:
-    """Return the unit of a product, as in ``mm³ (mm mrad)² MeV``."""
-    parts = []
-    for unit, power in Counter(unit for unit in units if unit).items():
-        base = f"({unit})" if power > 1 and not unit.isalpha() else unit
-        parts.append(base + (str(power).translate(_SUPERSCRIPTS) if power > 1 else ""))
-    return " ".join(parts)
 
 
 def staircase(points: Array, reference: Array) -> Array:

@@ -14,13 +14,13 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from mobo_tuner.core.hints import is_surely_met
 from mobo_tuner.core.problem import Constraint, Problem
+from mobo_tuner.core.units import product_of_units, raised
 from mobo_tuner.runs.recorded_run import UNFINISHED, RecordedRun
 from mobo_tuner.runs.records import StopReason
 from mobo_tuner.runs.report import plots
-from mobo_tuner.runs.report.figures import product_of_units
 from mobo_tuner.runs.report.models import ModelFacts, model_facts
 from mobo_tuner.runs.report.summary import recommend, summarize, timestamp
-from mobo_tuner.runs.report.svg import raised, render_legend
+from mobo_tuner.runs.report.svg import render_legend
 
 MAX_TEXT = 200_000  # characters of a file that are shown
 _SHOWN_INDICES = 12
@@ -101,7 +101,7 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    templates.filters |= {"number": number, "share": share, "duration": duration}
+    templates.filters |= {"number": number, "share": share, "duration": duration, "time": time}
     return templates
 
 
@@ -117,6 +117,11 @@ def number(value: float | None, digits: int = 4) -> str:
 def share(value: float) -> str:
     """Return a share in percent."""
     return f"{100.0 * value:.0f} %".replace("-", "−") if math.isfinite(value) else "–"
+
+
+def time(stamp: str) -> str:
+    """Return a time in ISO 8601, which is in UTC, for people."""
+    return stamp.replace("T", " ").replace("+00:00", " UTC")
 
 
 def duration(seconds: float) -> str:

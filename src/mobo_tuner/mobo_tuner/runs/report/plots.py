@@ -9,8 +9,9 @@ import numpy as np
 
 from mobo_tuner.core.pareto import is_nondominated
 from mobo_tuner.core.problem import Array, Objective, Problem
+from mobo_tuner.core.units import product_of_units
 from mobo_tuner.runs.recorded_run import RecordedRun
-from mobo_tuner.runs.report.figures import product_of_units, staircase
+from mobo_tuner.runs.report.figures import staircase
 from mobo_tuner.runs.report.models import ModelFacts
 from mobo_tuner.runs.report.summary import Recommendation
 from mobo_tuner.runs.report.svg import Axis, ParallelAxes, Plot

@@ -15,8 +15,8 @@ from markupsafe import Markup, escape
 from numpy.typing import ArrayLike, NDArray
 
 from mobo_tuner.core.problem import Array
+from mobo_tuner.core.units import raised
 
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _SHAPES = {
     "dot": "h0",  # drawn by its round line cap
     "cross": "m-3-3l6 6m0-6l-6 6",
@@ -320,11 +320,6 @@ class ParallelAxes:
 
     def _place(self, j: int) -> int:
         return self.spacing // 2 + self.spacing * j
-
-
-def raised(exponent: int) -> str:
-    """Return an exponent in superscript."""
-    return str(exponent).translate(_SUPERSCRIPTS)
 
 
 def _scaled(values: ArrayLike, axis: Axis, start: float, end: float) -> Array:
