@@ -63,28 +63,27 @@ def doubts(models: Mapping[str, GaussianProcess], belief: Belief, *, noisy: bool
         readings = left_out.mean + left_out.residual
         error = float(np.median(np.abs(left_out.residual)))
         spread = float(np.median(np.abs(readings - np.median(readings))))
-        if not error > UNEXPLAINED * spread > 0.0:
+        is_unexplained = error > UNEXPLAINED * spread > 0.0
+        is_noise = error <= float(np.median(model.known_noise))
+        is_harmless = name not in problem.objective_names and (
+            is_noise or is_surely_met(problem, name, left_out.mean, left_out.stddev)
+        )
+        if is_harmless:
             continue
-        noise = float(np.median(model.known_noise))
-        if name not in problem.objective_names:
-            surely_met = is_surely_met(problem, name, left_out.mean, left_out.stddev)
-            if noise >= error or surely_met:
-                continue
-        if noise >= error:
-            sentences.append(
-                f"the readings of {name} differ by {spread:.3g}, no more than their noise of "
-                f"{noise:.3g} explains: take more shots, or widen the bounds of the variables"
-            )
-        else:
+        if is_unexplained and not is_noise:
             sentences.append(
                 f"the model predicts {name} badly: it is off by {error:.3g}, and the readings differ by "
                 f"{spread:.3g}; queue one set-point twice: if its readings differ as much, the noise is larger "
                 "than the gain, so take more shots; else something else changes it, such as drift"
             )
-        elif error > gains.get(name, math.inf):
+        elif is_unexplained or error > gains.get(name, math.inf):
+            reach = gains.get(name, math.inf)
+            where = f"all readings of {name} differ by {spread:.3g}"
+            if error > reach:
+                where = f"on the front {name} differs by {reach:.3g}"
             sentences.append(
-                f"the noise of {name} is larger than the gain: readings are off by {error:.3g}, and on the "
-                f"front {name} differs by {gains[name]:.3g}; take more shots, or end the run"
+                f"the noise of {name} is larger than the gain: readings are off by {error:.3g}, and "
+                f"{where}; take more shots, or end the run"
             )
     return sentences
 
