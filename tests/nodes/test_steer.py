@@ -76,7 +76,9 @@ def test_a_run_is_steered(shell: Shell) -> None:
     assert "variables.x1.min" in shell.refused("set", "variables.x1.max=-9")
     assert "'variables.y.max'" in shell.refused("set", "variables.y.max=1")
     assert "evaluations" in shell.refused("set", 'evaluations={"a": 1}')
+    assert "seed is read when the tuner starts" in shell.refused("set", "seed=3")
     assert "x2" in shell.refused("queue", "x1=0.5")
+    assert "x1 is given twice" in shell.refused("queue", "x1=0.5", "x2=0.5", "x1=0.4")
     assert "evaluation" in shell("step")
     wait_until(lambda: " of 900 done" in view.stdout, "the step")
     assert "paused: " in view.stdout

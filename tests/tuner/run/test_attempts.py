@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import signal
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -99,6 +100,7 @@ def test_answers_to_other_evaluations_are_dropped_with_a_warning(
         return wrong.get(goal.index, (goal.run_id, goal.index, goal.attempt))
 
     machine.identity = identity
+    machine.ahead = 3600.0  # such a stamp is not kept: all that is predicted would be of that time
     tuner = start_tuner()
     client.send(Tune.Goal(run_id="mine", evaluations=5))
     assert client.wait().error_code == 0
@@ -111,6 +113,8 @@ def test_answers_to_other_evaluations_are_dropped_with_a_warning(
         "evaluation 3, attempt 7 of run 'mine', not for evaluation 3, attempt 0 of run 'mine'",
     ):
         assert f"{text}; that answer is dropped" in tuner.stderr
+    assert all(abs(r["stamp"] - time.time()) < 600.0 for r in records)
+    assert tuner.stderr.count("set its clock") == 1
 
 
 def test_a_machine_that_was_silent_is_asked_again_and_its_late_answer_dropped(

@@ -199,6 +199,7 @@ def test_goals_that_cannot_be_served_and_a_cancel_on_the_way(
         (Goal(choice=7), "choice is 7; BY_INDEX, BY_WEIGHTS and BEFORE_RUN are allowed"),
         (Goal(choice=Goal.BY_INDEX, index=point.index, radius=-1.0), "radius is -1"),
         (Goal(choice=Goal.BY_INDEX, index=point.index, radius=math.nan), "radius is nan"),
+        (Goal(index=point.index, hold_evaluations=3, radius=1e-9), "radius is 1e-09"),
         (Goal(choice=Goal.BY_INDEX, hold_evaluations=10**9), "hold_evaluations is 1000000000"),
         (Goal(choice=Goal.BY_WEIGHTS), "weights are "),
         (Goal(choice=Goal.BY_WEIGHTS, weights=named({"f9": 1.0})), "'f9': 1.0"),

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
+from rclpy.duration import Duration
 from rclpy.node import Node
 
 from mobo_msgs_py import msg
@@ -56,6 +57,7 @@ class MachineDouble:
         position: Current set-point; empty before the first goal.
         held: Whether evaluations wait, sending feedback, until this is false or they are canceled.
         silent: Whether evaluations wait without feedback, ignoring cancels.
+        ahead: Time by which its clock is ahead [s].
         finishes: Whether a cancel comes too late: an evaluation that is canceled ends with its answer.
         identity: Function that gives the run id, index and attempt that a result carries; by default
             those of the goal.
@@ -76,6 +78,7 @@ class MachineDouble:
         self.held = False
         self.silent = False
         self.finishes = False
+        self.ahead = 0.0
         self.identity: Callable[[EvaluateSetpoint.Goal], tuple[str, int, int]] = lambda goal: (
             goal.run_id,
             goal.index,
@@ -127,7 +130,7 @@ class MachineDouble:
                 {},
                 {n: stddev for n, (_, stddev) in pairs.items()},
             ),
-            stamp=self._node.get_clock().now().to_msg(),
+            stamp=(self._node.get_clock().now() + Duration(seconds=self.ahead)).to_msg(),
             error_code=code,
             error_msg=text,
         )

@@ -107,7 +107,7 @@ def stop(client: TunerClient, _: argparse.Namespace) -> str:
 
 def queue(client: TunerClient, options: argparse.Namespace) -> str:
     """Evaluate a set-point of your own next."""
-    return f"set-points in the queue: {client.queue(dict(options.values))}"
+    return f"set-points in the queue: {client.queue(_once(options.values))}"
 
 
 def forget(client: TunerClient, options: argparse.Namespace) -> str:
@@ -122,7 +122,7 @@ def unforget(client: TunerClient, options: argparse.Namespace) -> str:
 
 def set_(client: TunerClient, options: argparse.Namespace) -> str:
     """Set parameters of the tuner: all of them, or none."""
-    values = dict(options.values)
+    values = _once(options.values)
     client.set(values)
     return f"set: {', '.join(values)}"
 
@@ -135,7 +135,7 @@ def points(client: TunerClient, options: argparse.Namespace) -> str:
         fronts.append(("predicted", found.predicted))
     if options.sort and options.near:
         raise TunerError(ErrorCode.INVALID_VALUE, "give either --sort or --near")
-    near = dict(options.near or {})
+    near = _once(options.near or ())
     descending = bool(options.sort) and _is_maximized(client, options.sort)
     tables = []
     for title, front in fronts:
@@ -159,7 +159,7 @@ def go(client: TunerClient, options: argparse.Namespace) -> str:
 
     arrival = client.go(
         options.index,
-        weights=dict(options.weights) if options.weights else None,
+        weights=_once(options.weights) if options.weights else None,
         before=options.before,
         run_id=options.run,
         hold=options.hold,
@@ -335,6 +335,20 @@ def _aligned(rows: Sequence[Sequence[str]]) -> str:
     """Return rows as a table whose columns are aligned on the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return "\n".join("  ".join(map(str.rjust, row, widths)) for row in rows)
+
+
+def _once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """Return values by name.
+
+    Raises:
+        TunerError: If a name is given twice.
+    """
+    values: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in values:
+            raise TunerError(ErrorCode.INVALID_VALUE, f"{name} is given twice")
+        values[name] = value
+    return values
 
 
 def _counts(now: Status) -> str:

@@ -12,6 +12,7 @@ from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.waiting import STEADY_CLOCK
 
 PERIOD = 1.0  # [s]
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"  # rcl's name of a node whose own is not known yet
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
 
@@ -73,10 +74,14 @@ class Diagnostics:
 def other_publishers(node: Node, topic: str) -> list[str]:
     """Return the full names of the other nodes that publish a topic of which a node has a publisher.
 
-    Another node may have the same full name.
+    Another node may have the same full name. One that was only just discovered has none yet.
     """
     found = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
-    names = [f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in found]
+    names = [
+        f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+        for info in found
+        if info.node_name != _UNKNOWN
+    ]
     own = node.get_fully_qualified_name()
     if own in names:
         names.remove(own)

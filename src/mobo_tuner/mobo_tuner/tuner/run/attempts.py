@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 from rclpy.task import Future
@@ -30,6 +31,8 @@ _LOST = (_CODES.MACHINE_LOST, _CODES.CLIENT_LOST)
 _FORBIDDEN = (_CODES.INTERLOCK, _CODES.NOT_ACTIVE)
 SHORTEST_DELAY, LONGEST_DELAY = 0.1, 60.0  # [s] between two attempts
 PAUSE_PERIOD = 3600.0  # [s] between two looks of a paused run at requests, which also wake it up
+CLOCK_LEAD = 60.0  # [s] by which the machine's clock may be ahead of that of the tuner
+WARNING_PERIOD = 60.0  # [s] between two warnings of its clock
 _MOST_ATTEMPTS = 2**16 - 1  # that a goal can count
 
 
@@ -221,9 +224,21 @@ class Attempts:
             )
         except MachineLostError as error:
             return Answer(_CODES.MACHINE_LOST, str(error), context.stamp())
+        answer = self._dated(answer)
         if answer.error_code == _CODES.NONE:
             return checked(run, setpoint, answer, "machine")
         return answer
+
+    def _dated(self, answer: Answer) -> Answer:
+        """Return an answer with a stamp that can be: drift is judged by it, and one ahead would last."""
+        now = self._context.stamp()
+        if 0.0 < answer.stamp <= now + CLOCK_LEAD:
+            return answer
+        self._context.log.warning(
+            f"the machine's stamp is {answer.stamp:.0f} s, and it is {now:.0f} s now, which is kept: set its clock",
+            throttle_duration_sec=WARNING_PERIOD,
+        )
+        return replace(answer, stamp=now)
 
     # ------------------------------------------------------------------ between two attempts
 

@@ -83,6 +83,7 @@ class RunLoop:
                     ending, done = await self._leave(run, await self._tune(run, listener))
                     ending = end_run(context, run, ending)
                     context.topics.front(run.front_message(context.now()))
+                    context.status.hint("run", run.hints)  # not what its fallbacks would do
                     context.status.set(
                         publish=False,
                         message=ending.error_msg or done,
@@ -131,7 +132,8 @@ class RunLoop:
             done = await self._fallbacks.act(run, "on_end", run.interrupt)
             if run.interrupted:
                 ending = _canceled(run)
-        if ending.error_code not in (_CODES.NONE, _CODES.MACHINE_LOST):
+        # Where the goal was refused, nothing has moved.
+        if ending.error_code not in (_CODES.NONE, _CODES.MACHINE_LOST, _CODES.INVALID_GOAL):
             done = await self._fallbacks.act(run, "on_abort")
             if done:
                 ending = ending._replace(error_msg=f"{ending.error_msg}; {done}")

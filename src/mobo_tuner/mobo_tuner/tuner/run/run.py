@@ -67,7 +67,7 @@ class Findings:
         problem: Problem that is tuned, with the reference point that was inferred, if any.
         given_problem: Problem as it was given.
         evaluations: Number of finished evaluations.
-        failed: Number of those that are not valid.
+        failed: Number of those that failed and were not withdrawn.
         feasible: Number of those that are feasible.
         hypervolume: Hypervolume of the front.
         hypervolume_measured: Hypervolume of the complete readings as they are.
@@ -93,7 +93,7 @@ class Findings:
             problem=optimizer.problem,
             given_problem=optimizer.given_problem,
             evaluations=len(made),
-            failed=sum(not e.valid for e in made),
+            failed=sum(e.failed and not e.forgotten for e in made),
             feasible=sum(e.feasible for e in made),
             hypervolume=optimizer.hypervolume,
             hypervolume_measured=optimizer.hypervolume_measured,

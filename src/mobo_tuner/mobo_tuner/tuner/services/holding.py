@@ -8,6 +8,7 @@ import numpy as np
 from rclpy.task import Future
 
 from mobo_msgs_py import msg
+from mobo_msgs_py.action import GoToWorkingPoint
 from mobo_tuner.runs.records import EvaluationRecord
 from mobo_tuner.tuner.context import TunerContext
 from mobo_tuner.tuner.run.loop import RunLoop
@@ -67,15 +68,18 @@ class Holding:
             bounds=self._context.gate.bounds,
         )
         before = run.index
-        held = start_holding(
-            run,
-            focused,
-            evaluations,
-            self._context.parameters,
-            point=point,
-            interrupt=interrupt,
-            stamp=self._context.stamp(),
-        )
+        try:
+            held = start_holding(
+                run,
+                focused,
+                evaluations,
+                self._context.parameters,
+                point=point,
+                interrupt=interrupt,
+                stamp=self._context.stamp(),
+            )
+        except OSError as error:  # such as a full disk
+            raise RunError(GoToWorkingPoint.Result.INVALID_GOAL, str(error)) from None
 
         def count(record: EvaluationRecord, _: msg.Evaluation) -> None:
             listener(record.index + 1 - before)

@@ -13,7 +13,7 @@ from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, GoToWorkingPoint
 from mobo_msgs_py.srv import ListWorkingPoints
 from mobo_tuner.core import ProblemError
-from mobo_tuner.core.focus import choose_on_front
+from mobo_tuner.core.focus import around, choose_on_front
 from mobo_tuner.core.hypervolume import hypervolume
 from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.action_server import Goal
@@ -150,6 +150,8 @@ class WorkingPoints:
             )
         target = Target(place.setpoint, anyway=request.anyway)
         self._check(run, target, place, request.hold_evaluations)
+        if request.hold_evaluations:
+            around(run.problem, target.setpoint, radius, self._context.gate.bounds)
         return Choice(run, place, target, request.hold_evaluations, radius, request.measure)
 
     def _place(self, run: Run, request: GoToWorkingPoint.Goal) -> Place:
