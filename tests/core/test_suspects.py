@@ -99,6 +99,22 @@ def test_one_wild_reading_costs_next_to_nothing(wild: dict[str, float]) -> None:
     assert restored.ask() == optimizer.ask()
 
 
+@pytest.mark.parametrize("n", [24, 70])
+def test_a_wild_reading_never_counts_not_even_until_the_next_suggestion(n: int) -> None:
+    optimizer = tune({}, n)
+    before = optimizer.hypervolume
+    same = Optimizer.from_state(json.loads(json.dumps(optimizer.get_state())))
+    setpoint = optimizer.ask()
+    for each in (optimizer, same):
+        each.tell(setpoint, truth(**setpoint) | {"f": -10.0})
+    assert optimizer.suspected == [(n, "f")]
+    assert 0.999 * before < optimizer.hypervolume < 1.02 * before
+    assert n not in {point["index"] for point in optimizer.pareto_front() if not point["predicted"]}
+    assert optimizer.hypervolume_measured > 2.0 * before
+    # Whether anybody looked at it makes no difference to what is asked next.
+    assert optimizer.ask() == same.ask()
+
+
 def test_a_reading_that_is_too_good_is_confirmed_beside_it() -> None:
     problem = Problem.from_dict(
         {

@@ -65,6 +65,7 @@ class Archive:
         self._extended: Models | None = None
         self._belief: Belief | None = None
         self._believed_boxes: BoxDecomposition | None = None
+        self._surprised: bool | None = None
 
     # ------------------------------------------------------------------ evaluations
 
@@ -163,13 +164,21 @@ class Archive:
         """Whether every reading counts as it is and none is missing."""
         # The paper takes readings as they are, and its training is too slow for a belief after each.
         as_they_are = self._settings.training == "adam" and not self.models.drifts
-        return as_they_are or is_certain(self.dataset, self.models)
+        return as_they_are or (is_certain(self.dataset, self.models) and not self._is_surprised)
+
+    @property
+    def _is_surprised(self) -> bool:
+        """Whether the models rule out a reading that they have not learned yet."""
+        if self._surprised is None:
+            self._surprised = self.models.is_surprised(self.dataset)
+        return self._surprised
 
     @property
     def suspected(self) -> list[tuple[int, str]]:
-        """Suspected readings, by index and diagnostic, as of the last training."""
+        """Suspected readings, by index and diagnostic."""
+        models = self.extended_models if self._is_surprised else self.models
         names = self.problem.required_diagnostics
-        return sorted((int(i), name) for name in names for i in self.models.suspects(name))
+        return sorted((int(i), name) for name in names for i in models.suspects(name))
 
     @property
     def extended_models(self) -> Models:
@@ -238,7 +247,7 @@ class Archive:
         return front
 
     def _forget_belief(self) -> None:
-        self._extended = self._belief = self._believed_boxes = None
+        self._extended = self._belief = self._believed_boxes = self._surprised = None
 
     def _believed_front(self) -> BoxDecomposition:
         if self._believed_boxes is None:

@@ -20,9 +20,10 @@ from mobo_tuner.core.problem import Array, Problem, ProblemError
 from mobo_tuner.core.selection import Selection
 from mobo_tuner.core.settings import OptimizerSettings
 from mobo_tuner.core.steadiness import Steadiness
-from mobo_tuner.core.suspects import find_suspects, is_doubtful
+from mobo_tuner.core.suspects import find_suspects, is_doubtful, is_surprising
 from mobo_tuner.core.validity import ValidityModel
 
+_FEW_NEW = 10  # evaluations since the last update that may surprise
 _MOST_TRAINED = 250  # of these, for the hyperparameters, where there are more evaluations than rows
 _TRAINING_SHARE = 0.4  # of the time budget
 _NEWS = 1e-3  # of the readings' spread
@@ -183,7 +184,7 @@ class Models:
         other.validity = ValidityModel()
         other._processes = {name: p.copy() for name, p in self._processes.items()}
         other._suspects = dict(self._suspects)
-        if self._trained:
+        if self._trained and not self.is_surprised(data):
             other._learn(data, train=False, restarts=0)
         else:
             other._judged = len(data)
@@ -223,15 +224,24 @@ class Models:
         if count == 0 or (count == self._count(data, self._held) and not self._outdated):
             return False
         patience = self._refit_every or 1 + self._trained // 25
-        train = self._trained == 0 or self._outdated or count - self._trained >= patience
+        anew = self._trained == 0 or self._outdated
+        surprised = not anew and self.is_surprised(data)
+        train = anew or surprised or count - self._trained >= patience
         restarts = None if self._outdated or _is_time_to_restart(self._trained, count) else 0
-        trained = self._learn(data, train, restarts)
+        trained = self._learn(data, train, restarts, look=surprised)
         self._outdated = False
         if train:
             self._trained, self._trained_rows = count, len(data)
         return trained
 
-    def _learn(self, data: Dataset, train: bool, restarts: int | None, again: bool = False) -> bool:
+    def _learn(
+        self,
+        data: Dataset,
+        train: bool,
+        restarts: int | None,
+        again: bool = False,
+        look: bool = False,
+    ) -> bool:
         """Give every process the rows of its output, by training or one after the other.
 
         Args:
@@ -239,6 +249,7 @@ class Models:
             train: Whether to train.
             restarts: Number of random starts in place of the settings'.
             again: Whether this is done once more because of what the training before has shown.
+            look: Whether to look for suspected readings even if there are many evaluations.
 
         Returns:
             Whether any process was trained.
@@ -253,6 +264,7 @@ class Models:
         trained = train
         begin = time.monotonic()
         noisy = self._steadiness.learns_noise
+        look = train and (look or restarts is None or count <= _FEW)
         for position, (name, process) in enumerate(self._processes.items()):
             y, stddev = self._observations(name, data)
             rows = np.flatnonzero(np.isfinite(y))
@@ -273,14 +285,14 @@ class Models:
                     seconds=max(begin + share * self._seconds - time.monotonic(), 0.0),
                     noisy=noisy,
                 )
-                if train and (restarts is None or count <= _FEW) and not self._is_hurried:
+                if look and not self._is_hurried:
                     self._suspect(name, data, kept, noisy, [self._seed, 6, count, position])
             else:
                 for row in rows[rows >= self._held]:
                     process.add(inputs[row], float(y[row]), float(stddev[row]))
         self._held = len(data)
         self._set_now(data)
-        if train and self.has_suspects and (restarts is None or count <= _FEW):
+        if look and self.has_suspects:
             self._suspect_together(data, noisy, count)
         if train and (restarts is None or count <= _FEW):
             deadline = begin + _TRAINING_SHARE * self._seconds
@@ -368,6 +380,23 @@ class Models:
     def suspects(self, name: str) -> NDArray[np.intp]:
         """Return the evaluations whose reading of an output is suspected, in their order."""
         return self._suspects.get(name, np.empty(0, dtype=np.intp))
+
+    def is_surprised(self, data: Dataset) -> bool:
+        """Return whether a reading that is not learned yet is ruled out by the models.
+
+        The models are then trained at once, to find out whether it is suspected.
+        """
+        if not self._trained or self._is_hurried or self._settings.training == "adam":
+            return False
+        if len(data) - self._held > _FEW_NEW:  # a training is due anyway
+            return False
+        x = self._context.inputs(data)
+        for name, process in self._processes.items():
+            y, stddev = self._observations(name, data)
+            for row in range(self._held, len(data)):
+                if np.isfinite(y[row]) and is_surprising(process, x[row], y[row], stddev[row]):
+                    return True
+        return False
 
     @property
     def has_suspects(self) -> bool:

@@ -129,7 +129,7 @@ class Optimizer:
 
     @property
     def suspected(self) -> list[tuple[int, str]]:
-        """Readings that are nothing like the rest, by index and diagnostic, as of the last training.
+        """Readings that are nothing like the rest, by index and diagnostic.
 
         They count as not measured until later readings confirm them.
         """

@@ -83,20 +83,32 @@ def is_doubtful(model: GaussianProcess, row: int) -> bool:
     return bool(residual[row] > _DOUBTFUL * usual)
 
 
+def is_surprising(model: GaussianProcess, x: Array, y: float, stddev: float) -> bool:
+    """Return whether a new reading is ruled out by a model of those before; it may be suspected.
+
+    Args:
+        model: Model of the readings so far.
+        x: Normalised input ``(d,)``.
+        y: Reading.
+        stddev: Known standard deviation; NaN if unknown.
+    """
+    return model.n > _FEWEST and _deviation(model, x, y, stddev) is not None
+
+
 def _deviation(model: GaussianProcess, x: Array, y: float, stddev: float) -> float | None:
     """Return how far a reading is from the prediction of all others; None if they do not rule it out."""
-    loo = model.leave_one_out()
     mean, spread = model.predict(x[None])
+    deviation = float(y - mean[0])
+    least, most = model.range
+    if abs(deviation) <= _LEAST_SHARE * (most - least):
+        return None
+    loo = model.leave_one_out()
     calibration = max(1.0, float(np.sqrt(np.mean(np.square(loo.residual / loo.stddev)))))
     spread_of_reading = np.hypot(spread[0], model.noise_at(x))
     if np.isfinite(stddev):
         spread_of_reading = np.hypot(spread_of_reading, stddev)
-    deviation = float(y - mean[0])
-    least, most = model.range
-    off = abs(deviation) > max(
-        _LEAST_SHARE * (most - least), _RULED_OUT * calibration * float(spread_of_reading)
-    )
-    return deviation if off else None
+    ruled_out = abs(deviation) > _RULED_OUT * calibration * float(spread_of_reading)
+    return deviation if ruled_out else None
 
 
 def _is_confirmed(i: int, deviations: dict[int, float], x: Array) -> bool:
