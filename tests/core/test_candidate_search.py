@@ -49,6 +49,28 @@ def test_a_machine_that_was_off_at_first_is_not_kept_from_where_it_was() -> None
     assert optimizer.hypervolume > 0.97 * withheld.hypervolume
 
 
+def test_an_island_of_what_works_is_not_left_for_good() -> None:
+    problem = Problem.from_dict(
+        {
+            "variables": {name: {"min": -2.0, "max": 2.0} for name in "xyzw"},
+            "objectives": {name: {"reference": 5.0} for name in "fg"},
+        }
+    )
+
+    def machine(x: Mapping[str, float]) -> dict[str, Any]:
+        point = np.array(list(x.values()))
+        outputs = {
+            "f": float(np.linalg.norm(point - 1.0)),
+            "g": float(np.linalg.norm(point - [-1.0, -1.0, 0.5, 0.0])),
+        }
+        return outputs if math.hypot(x["x"] - 0.3, x["y"] + 0.2) < 1.0 else {}
+
+    optimizer = Optimizer(problem, seed=4)
+    tune(optimizer, 30, machine)
+    # As many as by chance, a fifth, at the least.
+    assert optimizer.dataset.valid.sum() >= 6
+
+
 def test_when_everything_fails_it_explores() -> None:
     optimizer = Optimizer(Problem.from_dict(TOY), initial_evaluations=3)
     asked = tune(optimizer, 8, lambda _: {})

@@ -40,6 +40,8 @@ CONFIRMING_STEP = 0.02
 _NEAR = 1e-3
 _ALIKE = 1.0  # range of a constraint's readings, as a share of what they lack
 _ALIKE_BUT_FOR_NOISE = 4.0  # the same where readings are noisy
+_PATIENCE = 3  # failures in a row, after which the search goes back to what was valid
+_MOST_HALVINGS = 12
 _HOPELESS = 1e-4  # expected improvement of each objective, as a share of its spread
 _SKILL = 0.5  # least share of their variance that a model must explain to be followed
 
@@ -268,10 +270,24 @@ class CandidateSearch:
         ]
         if self._data.failed.any():
             factors.append(ValidityWeight(self._models.validity))
+            factors.extend(self._back_to_valid())
         precision = self._settings.proximal_precision(self._problem)
         if precision is not None:
             factors.append(ProximalBiasing(self._data.inputs[-1], precision))
         return factors
+
+    def _back_to_valid(self) -> list[AcquisitionFunction]:
+        """Return the factor that leads back to where evaluations were valid, if several failed in a row.
+
+        What the failures have in common may be far from anything that the model of validity can tell
+        from a few of them. Each further one halves the square of the distance that is allowed.
+        """
+        valid = self._data.inputs[self._data.valid]
+        failures = int(np.argmin(self._data.failed[::-1])) if len(valid) else 0
+        if failures <= _PATIENCE:
+            return []
+        precision = 2.0 ** min(failures - _PATIENCE, _MOST_HALVINGS)
+        return [ProximalBiasing(valid[-1 - failures % len(valid)], precision)]
 
     def _improvement(
         self, known: BoolArray, nearest: bool = False, tails: bool = True
