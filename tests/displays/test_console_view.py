@@ -90,7 +90,7 @@ def test_the_live_view_fits_the_width_of_the_terminal(width: int) -> None:
     progress = RunProgress(60)
     names = [f"eps_{i}" for i in range(7)]
     values = {name: 1234.5 + i for i, name in enumerate(names)}
-    spreads = {name: (value, 0.25) for name, value in values.items()}
+    spreads = {name: (value, 34.5) for name, value in values.items()}
     for index in range(40):
         volume = math.nan if index == 5 else float(index)
         made = replace(
@@ -106,6 +106,9 @@ def test_the_live_view_fits_the_width_of_the_terminal(width: int) -> None:
     assert spark == sparkline(progress.hypervolumes, min(width - 1, 60))
     [row] = [line for line in lines if line.startswith("eps_6")]
     assert "1.24e+03 to 2.48e+03" in row
+    assert ("± 30" in row) == (width > 60)
+    assert "left" in " ".join(lines)
+    assert len(lines) == 6 + 8  # no value goes on in a second line
 
 
 def test_a_sparkline_shows_the_whole_run_in_its_width() -> None:

@@ -22,6 +22,7 @@ from mobo_tuner.displays.keys import HELP, Keys, reading_keys
 from mobo_tuner.displays.progress import RunProgress
 
 BAR_WIDTH, SPARK_WIDTH = 30, 60  # at most
+ROOMY = 70  # columns from which on standard deviations are shown
 BARS = "▁▂▃▄▅▆▇█"
 _STATES = {
     "idle": "idle",
@@ -236,7 +237,7 @@ def render(run_id: str, progress: RunProgress, stage: str = "", hint: str = "") 
         _figures(progress),
         _Sparkline(progress),
         Text(),
-        _objectives(progress),
+        _Objectives(progress),
     )
 
 
@@ -247,7 +248,7 @@ def _activity(status: Status) -> str:
 
 
 class _Bar:
-    """How far the run is; the bar gets the room that the texts leave."""
+    """How far the run is; the bar gets the room that the texts leave, if it is enough."""
 
     def __init__(self, progress: RunProgress) -> None:
         self._progress = progress
@@ -266,7 +267,9 @@ class _Bar:
         )
         row = Table.grid(padding=(0, 2, 0, 0))
         row.add_row(
-            Text(texts[0], no_wrap=True), bar, *([] if room < 8 else [Text(texts[1], "dim")])
+            Text(texts[0], no_wrap=True),
+            *([] if room < 8 else [bar]),
+            Text(texts[1], "dim", no_wrap=True),
         )
         yield row
 
@@ -321,35 +324,42 @@ def _figures(progress: RunProgress) -> RenderableType:
     )
 
 
-def _objectives(progress: RunProgress) -> RenderableType:
-    assert progress.last is not None
-    last = progress.last
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    table.add_column("objective", no_wrap=True)
-    table.add_column("last", justify="right")
-    table.add_column("best", justify="right")
-    table.add_column("unit", style="dim")
-    table.add_column("at", justify="right", style="dim")
-    table.add_column("on the front", style="dim", no_wrap=True)
-    for name in last.objectives:
-        best, ends = progress.best(name), progress.front_range(name)
-        newest = best is not None and best[1] == last.index
-        table.add_row(
-            name,
-            _value(last, name),
-            Text("—" if best is None else f"{best[0]:.4g}", "bold green" if newest else "bold"),
-            last.units.get(name, ""),
-            "" if best is None else f"{best[1]}",
-            "" if ends is None else f"{ends[0]:.3g} to {ends[1]:.3g}",
-        )
-    return table
+class _Objectives:
+    """Last and best value of every objective; a narrow terminal has no room for the standard deviations."""
+
+    def __init__(self, progress: RunProgress) -> None:
+        self._progress = progress
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        progress, last = self._progress, self._progress.last
+        assert last is not None
+        table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
+        table.add_column("objective", no_wrap=True)
+        table.add_column("last", justify="right", no_wrap=True)
+        table.add_column("best", justify="right")
+        table.add_column("unit", style="dim")
+        table.add_column("at", justify="right", style="dim")
+        table.add_column("on the front", style="dim", no_wrap=True)
+        for name in last.objectives:
+            best, ends = progress.best(name), progress.front_range(name)
+            newest = best is not None and best[1] == last.index
+            table.add_row(
+                name,
+                _value(last, name, with_stddev=options.max_width >= ROOMY),
+                Text("—" if best is None else f"{best[0]:.4g}", "bold green" if newest else "bold"),
+                last.units.get(name, ""),
+                "" if best is None else f"{best[1]}",
+                "" if ends is None else f"{ends[0]:.3g} to {ends[1]:.3g}",
+            )
+        yield table
 
 
-def _value(evaluation: Evaluation, name: str) -> str:
+def _value(evaluation: Evaluation, name: str, *, with_stddev: bool) -> str:
     value, stddev = evaluation.objectives[name], evaluation.stddev(name)
     if math.isnan(value):
         return "—"
-    spread = "" if math.isnan(stddev) else f" ± {stddev:.1g}"
+    shown = with_stddev and math.isfinite(stddev)
+    spread = f" ± {float(f'{stddev:.1g}'):g}" if shown else ""  # 30 rather than 3e+01
     return f"{value:.4g}{spread}"
 
 
