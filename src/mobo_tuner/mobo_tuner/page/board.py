@@ -16,7 +16,7 @@ from mobo_tuner.ros.conversions import values_of
 
 SILENCE_TIMEOUT = 3.0  # [s] without a status, which is published at 1 Hz, until it counts as old
 HEALTH_TIMEOUT = 5.0  # [s] without a message about a part, until it counts as old
-KEPT_RUNS = 3  # runs whose evaluations are kept
+KEPT_RUNS = 2  # runs whose evaluations are kept
 
 Level = Literal["ok", "warning", "error", "stale"]
 LEVELS: tuple[Level, ...] = ("ok", "warning", "error", "stale")
