@@ -1,4 +1,4 @@
-"""The optimisers that are compared, each behind one function: the next set-point from all that was measured.
+"""The optimisers that are compared, each behind one function: the next set-points from all that was measured.
 
 Set-points are normalised to [-1, 1], objectives are minimised, constraints are met up to their maximum. Xopt runs with
 its defaults, BoTorch's qLogNEHVI with independent models and the settings of its tutorial (128 Sobol samples, 10
@@ -18,7 +18,7 @@ from mobo_tuner.core import Optimizer
 from mobo_tuner.core.pareto import FloatArray
 
 Suggester = Callable[[FloatArray, FloatArray], FloatArray]
-"""Function from inputs `(n, d)` and measured outputs `(n, P + C)` to the next input `(d,)`."""
+"""Function from inputs `(n, d)` and measured outputs `(n, P + C)` to the next inputs `(q, d)`."""
 
 POPULATION = 20
 
@@ -28,7 +28,7 @@ def output_names(benchmark: Benchmark) -> list[str]:
     return [*benchmark.problem.objective_names, *(c.name for c in benchmark.problem.constraints)]
 
 
-def ours(benchmark: Benchmark, starts: int, seed: int, **settings: Any) -> Suggester:
+def ours(benchmark: Benchmark, starts: int, seed: int, count: int, **settings: Any) -> Suggester:
     """Return this project's optimiser, which keeps its models from suggestion to suggestion."""
     optimizer = Optimizer(benchmark.problem, seed=seed, initial_evaluations=starts, **settings)
     names = output_names(benchmark)
@@ -37,25 +37,27 @@ def ours(benchmark: Benchmark, starts: int, seed: int, **settings: Any) -> Sugge
         for row in range(len(optimizer.dataset), len(x)):
             setpoint = benchmark.problem.denormalize(x[row])
             optimizer.tell(setpoint, dict(zip(names, map(float, y[row]), strict=True)))
-        return benchmark.problem.normalize(optimizer.ask())
+        if count == 1:
+            return benchmark.problem.normalize(optimizer.ask())[None]
+        return np.array([benchmark.problem.normalize(asked) for asked in optimizer.ask(count)])
 
     return suggest
 
 
-def perfect(benchmark: Benchmark, starts: int, seed: int) -> Suggester:
+def perfect(benchmark: Benchmark, starts: int, seed: int, count: int) -> Suggester:
     """Return the greedy method that knows the true outputs."""
     means = prior_means(benchmark)
-    return ours(benchmark, starts, seed, prior_means=means, **PERFECT)
+    return ours(benchmark, starts, seed, count, prior_means=means, **PERFECT)
 
 
-def random_search(benchmark: Benchmark, _: int, seed: int) -> Suggester:
+def random_search(benchmark: Benchmark, _: int, seed: int, count: int) -> Suggester:
     """Return random search."""
     rng = np.random.default_rng([seed, 12345])
     d = len(benchmark.problem.variables)
-    return lambda _x, _y: rng.uniform(-1.0, 1.0, d)
+    return lambda _x, _y: rng.uniform(-1.0, 1.0, (count, d))
 
 
-def xopt(benchmark: Benchmark, _: int, seed: int) -> Suggester:
+def xopt(benchmark: Benchmark, _: int, seed: int, count: int) -> Suggester:
     """Return Xopt's MOBO generator."""
     import pandas as pd
     import torch
@@ -76,14 +78,14 @@ def xopt(benchmark: Benchmark, _: int, seed: int) -> Suggester:
     def suggest(x: FloatArray, y: FloatArray) -> FloatArray:
         told = 0 if generator.data is None else len(generator.data)
         generator.add_data(pd.DataFrame(np.hstack([x, y])[told:], columns=[*inputs, *names]))
-        candidate = generator.generate(1)[0]
-        return np.array([candidate[name] for name in inputs])
+        candidates = generator.generate(count)
+        return np.array([[candidate[name] for name in inputs] for candidate in candidates])
 
     return suggest
 
 
-def botorch(benchmark: Benchmark, _: int, seed: int) -> Suggester:
-    """Return BoTorch's qLogNEHVI."""
+def botorch(benchmark: Benchmark, _: int, seed: int, count: int) -> Suggester:
+    """Return BoTorch's qLogNEHVI; it chooses the points of a batch one after the other."""
     import torch
     from botorch.acquisition.multi_objective.logei import qLogNoisyExpectedHypervolumeImprovement
     from botorch.acquisition.multi_objective.objective import IdentityMCMultiOutputObjective
@@ -125,13 +127,15 @@ def botorch(benchmark: Benchmark, _: int, seed: int) -> Suggester:
             objective=IdentityMCMultiOutputObjective(outcomes=list(range(n_objectives))),
             constraints=constraints or None,
         )
-        candidate, _ = optimize_acqf(acquisition, unit, 1, num_restarts=10, raw_samples=512)
-        return 2.0 * candidate.detach().numpy()[0] - 1.0
+        candidates, _ = optimize_acqf(
+            acquisition, unit, count, num_restarts=10, raw_samples=512, sequential=count > 1
+        )
+        return np.asarray(2.0 * candidates.detach().numpy() - 1.0)
 
     return suggest
 
 
-def nsga2(benchmark: Benchmark, starts: int, seed: int) -> Suggester:
+def nsga2(benchmark: Benchmark, starts: int, seed: int, count: int) -> Suggester:
     """Return pymoo's NSGA-II; the starts and random points are its first population."""
     from pymoo.algorithms.moo.nsga2 import NSGA2
     from pymoo.core.evaluator import Evaluator
@@ -151,7 +155,7 @@ def nsga2(benchmark: Benchmark, starts: int, seed: int) -> Suggester:
     def suggest(x: FloatArray, y: FloatArray) -> FloatArray:
         nonlocal algorithm, population, asked
         if len(x) < starts + len(extra):
-            return extra[len(x) - starts]
+            return extra[len(x) - starts :][:count]
         if algorithm is None:
             algorithm = NSGA2(pop_size=len(x), sampling=x)
             algorithm.setup(definition, termination=("n_gen", 10**6), seed=seed, verbose=False)
@@ -165,14 +169,14 @@ def nsga2(benchmark: Benchmark, starts: int, seed: int) -> Suggester:
             algorithm.tell(infills=population)
             asked = len(x)
             population = algorithm.ask()
-        return np.asarray(population.get("X")[len(x) - asked])
+        return np.asarray(population.get("X")[len(x) - asked :][:count])
 
     return suggest
 
 
-METHODS: Mapping[str, Callable[[Benchmark, int, int], Suggester]] = {
-    "default": lambda b, n, s: ours(b, n, s, preset="default"),
-    "paper": lambda b, n, s: ours(b, n, s, preset="paper"),
+METHODS: Mapping[str, Callable[[Benchmark, int, int, int], Suggester]] = {
+    "default": lambda b, n, s, q: ours(b, n, s, q, preset="default"),
+    "paper": lambda b, n, s, q: ours(b, n, s, q, preset="paper"),
     "perfect": perfect,
     "random": random_search,
     "nsga2": nsga2,

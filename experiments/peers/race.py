@@ -21,7 +21,13 @@ from mobo_tuner.core.pareto import FloatArray
 
 
 def race(
-    seed: int, problem: str, method: str, noise: float, evaluations: int, limit: float
+    seed: int,
+    problem: str,
+    method: str,
+    noise: float,
+    evaluations: int,
+    limit: float,
+    batch: int = 1,
 ) -> Record:
     """Return the record of a run: the hypervolumes of the noiseless values at the feasible set-points so far.
 
@@ -35,6 +41,7 @@ def race(
         noise: Standard deviation of the noise, as a share of each output's range.
         evaluations: Number of evaluations, including the starts.
         limit: CPU time after which the run is stopped [s].
+        batch: Number of set-points that are asked for at once.
     """
     benchmark = PROBLEMS[problem]()
     d = len(benchmark.problem.variables)
@@ -47,13 +54,13 @@ def race(
     seconds = []
     warnings.simplefilter("ignore")
     with suppress(_TimeIsUpError), _cpu_limit(limit):
-        suggest = METHODS[method](benchmark, starts, seed)
+        suggest = METHODS[method](benchmark, starts, seed, batch)
         while len(x) < evaluations:
             begin = time.process_time()
             suggested = np.clip(suggest(x, truth + sigma * normals[: len(x)]), -1.0, 1.0)
             seconds.append(time.process_time() - begin)
             x = np.vstack([x, suggested])
-            truth = np.vstack([truth, _outputs(benchmark, suggested[None])])
+            truth = np.vstack([truth, _outputs(benchmark, suggested)])
     record: Record = {"hypervolumes": rounded(_hypervolumes(benchmark, truth), 6)}
     if seconds:
         record["suggestion"] = rounded([float(np.median(seconds))], 3)[0]

@@ -39,6 +39,8 @@ def test_a_method_suggests_a_set_point_within_the_bounds(method: str) -> None:
     x = np.random.default_rng(0).uniform(-1.0, 1.0, (6, 4))
     measured = [benchmark.measure(benchmark.problem.denormalize(row)) for row in x]
     y = np.array([[values[name] for name in output_names(benchmark)] for values in measured])
-    suggested = METHODS[method](benchmark, len(x), 0)(x, y)
-    assert suggested.shape == (4,)
+    suggested = METHODS[method](benchmark, len(x), 0, 1)(x, y)
+    assert suggested.shape == (1, 4)
+    if method == "random":
+        assert METHODS[method](benchmark, len(x), 0, 3)(x, y).shape == (3, 4)
     assert (np.abs(suggested) <= 1.0).all()

@@ -51,6 +51,7 @@ from mobo_tuner.tuner.parameters import check_tuner
 
 SECONDS, ERROR = "_seconds", "_error"  # fields of libEnsemble's history beside those of the problem
 _MOST_ERROR = 300  # characters
+_POLL = 0.005  # [s] between two looks at the simulations
 
 
 @dataclass(frozen=True)
@@ -268,7 +269,7 @@ def run(begun: Begun, folder: Path) -> None:
                 vocs=generator.vocs,
             ),
             sim_specs=sim_specs,
-            alloc_specs=AllocSpecs(alloc_f=only_persistent_gens, user={"async_return": True}),
+            alloc_specs=AllocSpecs(alloc_f=_allocate, user={"async_return": True}),
             exit_criteria=ExitCriteria(sim_max=budget - len(optimizer.dataset)),
         )
         _end_at_signals(simulation, generator)
@@ -278,6 +279,17 @@ def run(begun: Begun, folder: Path) -> None:
             simulation.stop()
         log.append(EndRecord(time.time(), StopReason.BUDGET))
         log.close()
+
+
+def _allocate(*state: Any) -> Any:
+    """Allocate work as libEnsemble does, and wait a little if there is none.
+
+    Its manager would look for results thousands of times a second, at the cost of the simulations.
+    """
+    work = only_persistent_gens(*state)
+    if not work[0]:
+        time.sleep(_POLL)
+    return work
 
 
 def _end_at_signals(simulation: Simulation, generator: Campaign) -> None:
