@@ -16,7 +16,8 @@ KEPT = ("preset", "seed", "model_input", *PRIOR, *CHOICES)
 
 def kept_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return those of a run's settings that a run which resumes it keeps."""
-    return {name: settings[name] for name in KEPT if name in settings}
+    none = dict.fromkeys(PRIOR, "")  # of a run from before there were prior models
+    return none | {name: settings[name] for name in KEPT if name in settings}
 
 
 def make_optimizer(
