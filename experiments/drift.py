@@ -34,7 +34,9 @@ KINDS = ("steady", "moving", "jump", "scaled")
 FRESH = 50
 _TRAVEL = 2.0 * 30.0 / 70.0  # of a normalised variable, which spans 2
 _GROWTH = 0.1
-_MOVED = {"toy": "x1", "valley": "a", "dtlz2": "x1", "beam": "K2"}
+
+MOVED = {"toy": "x1", "valley": "a", "dtlz2": "x1", "beam": "K2"}
+"""Variable whose optimum moves, by the name of the benchmark."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class Outcome:
 
 def at(benchmark: Benchmark, name: str, kind: str, share: float) -> Benchmark:
     """Return the machine as it is after a share of the evaluations, from 0 to 1."""
-    variable = benchmark.problem.variable_names.index(_MOVED[name])
+    variable = benchmark.problem.variable_names.index(MOVED[name])
     shift = np.zeros(len(benchmark.problem.variables))
     if kind in ("moving", "jump"):
         shift[variable] = _TRAVEL * ((share if kind == "moving" else float(share >= 0.5)) - 0.5)
@@ -148,7 +150,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--problems", nargs="+", choices=list(_MOVED), default=["toy", "beam"])
+    parser.add_argument("--problems", nargs="+", choices=list(MOVED), default=["toy", "beam"])
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
     parser.add_argument("--settings", nargs="+", default=["none", "auto", "on"])
     parser.add_argument("--evaluations", type=int, default=200)

@@ -1,19 +1,21 @@
-"""A machine that drifts: what is said of it is true now, and one that does not is left as it is."""
+"""A machine that depends on what nobody sets, time or a temperature: what is said of it is true now."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Callable
+from typing import Any
 
 import moocore
 import numpy as np
 import pytest
 
 from mobo_tuner.core import Optimizer, Problem, ProblemError
+from mobo_tuner.core.dataset import Dataset
 from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
-from mobo_tuner.core.kernels import KERNELS, Timed
+from mobo_tuner.core.kernels import KERNELS, Contextual
 
 REFERENCE = 4.3
 PROBLEM = Problem.from_dict(
@@ -54,12 +56,15 @@ def error_of_hypervolume(optimizer: Optimizer, shift: float) -> float:
     return float(optimizer.hypervolume / moocore.hypervolume(values, ref=[REFERENCE] * 2) - 1.0)
 
 
+@pytest.mark.parametrize("contexts", [1, 2])
 @pytest.mark.parametrize("name", list(KERNELS))
-def test_the_gradient_of_a_kernel_with_time_by_finite_differences(name: str) -> None:
+def test_the_gradient_of_a_kernel_with_contexts_by_finite_differences(
+    name: str, contexts: int
+) -> None:
     rng = np.random.default_rng(0)
-    kernel = Timed(KERNELS.find(name)(2))
+    kernel = Contextual(KERNELS.find(name)(2), contexts)
     parameters = kernel.default_parameters() + 0.2 * rng.standard_normal(kernel.size)
-    x, c = rng.uniform(-1.0, 1.0, (6, 3)), rng.standard_normal((6, 6))
+    x, c = rng.uniform(-1.0, 1.0, (6, 2 + contexts)), rng.standard_normal((6, 6))
     c = c + c.T
 
     def profile(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -77,9 +82,9 @@ def test_the_gradient_of_a_kernel_with_time_by_finite_differences(name: str) -> 
 def test_a_model_with_time_predicts_for_now() -> None:
     rng = np.random.default_rng(1)
     x = np.column_stack([rng.uniform(-1.0, 1.0, (20, 2)), np.linspace(-1.0, 0.0, 20)])
-    model = GaussianProcess(GaussianProcessSettings(), timed=True)
+    model = GaussianProcess(GaussianProcessSettings(), contexts=1)
     model.fit(x, np.sin(x[:, 0] + 2.0 * x[:, 2]) + x[:, 1] ** 2)
-    model.now = -0.25
+    model.now = np.array([-0.25])
     here = np.array([[0.3, -0.2], [0.0, 0.9]])
     then = np.column_stack([here, [-0.25, -0.25]])
     np.testing.assert_array_equal(model.predict(here), model.predict(then))
@@ -90,7 +95,7 @@ def test_a_model_with_time_predicts_for_now() -> None:
     restored = GaussianProcess.from_state(
         json.loads(json.dumps(model.get_state())), x, np.sin(x[:, 0] + 2.0 * x[:, 2]) + x[:, 1] ** 2
     )
-    restored.now = -0.25
+    restored.now = np.array([-0.25])
     np.testing.assert_array_equal(restored.predict(here), model.predict(here))
 
 
@@ -147,3 +152,76 @@ def test_time_counts_evaluations_where_none_is_told_and_must_be_finite() -> None
     with pytest.raises(ProblemError, match="time is nan"):
         optimizer.tell(here, {"f": 1.0, "g": 1.0}, time=math.nan)
     assert len(optimizer.dataset) == 4
+
+
+WITH_TEMPERATURE = Problem.from_dict(
+    PROBLEM.to_dict() | {"context": {"temperature": {"unit": "C"}}}
+)
+
+
+def temperature(i: int) -> float:
+    return 20.0 + math.sin(i / 6.0)
+
+
+def tune_by_temperature(problem: Problem, evaluations: int, **settings: Any) -> Optimizer:
+    """Tune a machine whose optima move with a temperature, by 0.8 for a degree."""
+    optimizer = Optimizer(problem, seed=0, **settings)
+    for i in range(evaluations):
+        setpoint, degrees = optimizer.ask(), temperature(i)
+        outputs = truth(setpoint, 0.8 * (degrees - 20.0)) | {"temperature": degrees}
+        optimizer.tell(setpoint, outputs)
+    return optimizer
+
+
+def errors_of_front(optimizer: Optimizer, shift: float) -> np.ndarray:
+    return np.array(
+        [
+            abs(p["objectives"][n] - truth(p["setpoint"], shift)[n])
+            for p in optimizer.pareto_front(probability=False)
+            for n in "fg"
+        ]
+    )
+
+
+def test_with_a_context_the_front_is_that_of_the_last_reading() -> None:
+    evaluations = 36
+    shift = 0.8 * (temperature(evaluations - 1) - 20.0)
+    without, known = (
+        tune_by_temperature(problem, evaluations) for problem in (PROBLEM, WITH_TEMPERATURE)
+    )
+    assert errors_of_front(without, shift).mean() > 0.2
+    assert errors_of_front(known, shift).mean() < 0.05
+    restored = Optimizer.from_state(json.loads(json.dumps(known.get_state())))
+    assert restored.hypervolume == known.hypervolume
+    assert restored.ask() == known.ask()
+    # The last reading says where predictions are for, even of an evaluation that failed.
+    here = {"x": 1.0, "y": 1.0}
+    for degrees in (20.0, 20.6):
+        known.tell(here, {"temperature": degrees}, failed=True)
+        predicted = known.models.predicted(PROBLEM.normalize(here))
+        assert predicted["f"] == pytest.approx(truth(here, 0.8 * (degrees - 20.0))["f"], abs=0.1)
+    known.forget(len(known.dataset) - 1, "temperature")
+    predicted = known.models.predicted(PROBLEM.normalize(here))
+    assert predicted["f"] == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_context_is_observed_and_may_drift_beside_time() -> None:
+    assert [o.name for o in WITH_TEMPERATURE.observables] == ["temperature"]
+    assert WITH_TEMPERATURE.units["temperature"] == "C"
+    assert Problem.from_dict(WITH_TEMPERATURE.to_dict()) == WITH_TEMPERATURE
+    for drift in ("on", "auto"):
+        optimizer = tune_by_temperature(WITH_TEMPERATURE, 14, drift=drift)
+        restored = Optimizer.from_state(json.loads(json.dumps(optimizer.get_state())))
+        assert restored.ask() == optimizer.ask()
+        assert optimizer.models.objectives[0].contexts == 1 + optimizer.models.drifts
+
+
+def test_a_reading_of_a_context_lasts_until_the_next_one() -> None:
+    data = Dataset(WITH_TEMPERATURE)
+    here = {"x": 0.0, "y": 0.0}
+    for reading in (None, 21.0, math.nan, 23.0):
+        data.add(here, {"f": 1.0, "g": 1.0, "temperature": reading})
+    assert data.lasting("temperature").tolist() == [21.0, 21.0, 21.0, 23.0]
+    data.forget(1)
+    assert data.lasting("temperature").tolist() == [23.0] * 4
+    assert np.isnan(data.lasting("humidity")).all()

@@ -34,7 +34,7 @@ def test_a_restored_optimizer_asks_what_the_original_would_have_asked(
         ("{", "is not JSON"),
         ("[]", "holds no state"),
         ('{"version": 99}', "the state is of version 99"),
-        ('{"version": 2}', "the state lacks 'problem'"),
+        ('{"version": 3}', "the state lacks 'problem'"),
     ],
 )
 def test_a_bad_state_is_refused_in_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:

@@ -70,6 +70,17 @@ from tests.core.problem_mapping import MAPPING, changed
         ("constraints.dE", {}, "constraints.dE needs 'min', 'max' or both"),
         ("constraints.transmission.min", 1.2, "must be less than its max"),
         ("observables.charge.min", 1, "'min' is unknown in observables.charge"),
+        ("context", {"K1": {}}, "context.K1 is also in 'variables'"),
+        ("context", {"eps_x": {}}, "context.eps_x is also in 'objectives'"),
+        ("context", {"dE": {}}, "context.dE is also in 'constraints'"),
+        ("context", {"charge": {"unit": "pC"}}, "context.charge.unit is 'pC'"),
+        ("context", {"hall": {"min": 1.0}}, "context.hall.max is missing"),
+        (
+            "context",
+            {"hall": {"min": 1.0, "max": 1.0}},
+            "context.hall.min is 1, which must be less",
+        ),
+        ("context", {"hall": {"scale": 1.0}}, "'scale' is unknown in context.hall"),
     ],
 )
 def test_a_bad_problem_is_refused_in_one_sentence(path: str, value: Any, sentence: str) -> None:

@@ -28,6 +28,7 @@ SHIPPED = {
     "derived.yaml": "awa_sim",
     "prior.yaml": "awa_sim",
     "safe.yaml": "awa_sim",
+    "context.yaml": "awa_sim",
     "foreign.yaml": "machine_bridge",
     "my_machine.yaml": "",
     "campaign.yaml": "",

@@ -163,7 +163,7 @@ class Archive:
     def is_certain(self) -> bool:
         """Whether every reading counts as it is and none is missing."""
         # The paper takes readings as they are, and its training is too slow for a belief after each.
-        as_they_are = self._settings.training == "adam" and not self.models.drifts
+        as_they_are = self._settings.training == "adam" and not self.models.varies
         return as_they_are or (is_certain(self.dataset, self.models) and not self._is_surprised)
 
     @property

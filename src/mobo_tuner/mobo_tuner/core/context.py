@@ -1,58 +1,130 @@
-"""Inputs of the models that nobody sets: when an evaluation was measured."""
+"""Inputs of the models that nobody sets: measured contexts, such as a temperature, and time."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from mobo_tuner.core.dataset import Dataset
-from mobo_tuner.core.kernels import LONGEST_TIME_SCALE
+from mobo_tuner.core.kernels import LONGEST_CONTEXT_SCALE
 from mobo_tuner.core.problem import Array
+from mobo_tuner.core.quantities import Context
 
 _TIME_UNIT = 100  # evaluations in a unit of time, if none is given
 
 
+class Scale(NamedTuple):
+    """Origin and unit of an input, in the quantity's own unit."""
+
+    origin: float
+    unit: float
+
+
 @dataclass(frozen=True)
-class Context:
-    """Time as an input of the models, or none.
+class ContextInputs:
+    """What nobody sets, as inputs of the models; the scales hold from one training to the next.
 
     Attributes:
+        names: Measured contexts.
+        scales: Scale of each.
+        clock: Scale of time: the latest time and its unit at the last training [s].
         timed: Whether time is an input, which is then the last one.
-        latest: Latest time at the last training [s].
-        unit: Unit of time [s].
     """
 
+    names: tuple[str, ...]
+    scales: tuple[Scale, ...]
+    clock: Scale
     timed: bool
-    latest: float = 0.0
-    unit: float = 1.0
 
     @classmethod
-    def of(cls, timed: bool, times: Array, unit: float) -> Self:
-        """Return the context of models that are trained now.
+    def of(cls, data: Dataset, timed: bool, time_unit: float) -> Self:
+        """Return the inputs for models that are trained with some evaluations.
 
         Args:
+            data: Evaluations.
             timed: Whether time is an input.
-            times: When each evaluation was measured ``(n,)`` [s].
-            unit: Time in which the machine changes noticeably [s]; 0 for the order of magnitude in
+            time_unit: Time in which the machine changes noticeably [s]; 0 for the order of magnitude in
                 which that would matter to a run.
         """
-        if not unit:
-            steps = np.diff(np.sort(times))
-            unit = _TIME_UNIT * (float(np.median(steps)) if len(steps) else 1.0)
-        return cls(timed, float(times.max(initial=-math.inf)), unit or 1.0)
+        contexts = data.problem.context
+        scales = tuple(_scale(context, data) for context in contexts)
+        return cls(tuple(c.name for c in contexts), scales, _clock(data.times, time_unit), timed)
+
+    @property
+    def count(self) -> int:
+        """Number of these inputs."""
+        return len(self.names) + self.timed
 
     def times(self, data: Dataset) -> Array:
         """Return when each evaluation was measured ``(n,)``, before the last training, in units of time."""
-        # What is older than any time scale would only cost digits.
-        return np.maximum((data.times - self.latest) / self.unit, -LONGEST_TIME_SCALE)
+        return _scaled(data.times, self.clock)
 
     def inputs(self, data: Dataset) -> Array:
         """Return the inputs of the models ``(n, d)``."""
-        return np.column_stack([data.inputs, self.times(data)]) if self.timed else data.inputs
+        if not self.count:
+            return data.inputs
+        return np.column_stack([data.inputs, *self._columns(data)])
 
-    def now(self, data: Dataset, held: int) -> float:
-        """Return the latest time of the first `held` evaluations, in units of time."""
-        return float(self.times(data)[:held].max(initial=-math.inf))
+    def now(self, data: Dataset, held: int) -> Array:
+        """Return what holds after the first `held` evaluations: the last readings and the latest time."""
+        columns = [column[:held] for column in self._columns(data)]
+        last = [column[-1:].max(initial=-math.inf) for column in columns[: len(self.names)]]
+        return np.array([*last, *(c.max(initial=-math.inf) for c in columns[len(self.names) :])])
+
+    def _columns(self, data: Dataset) -> list[Array]:
+        """Return the inputs that nobody sets, ``(n,)`` each."""
+        columns = [
+            _scaled(data.lasting(name), scale)
+            for name, scale in zip(self.names, self.scales, strict=True)
+        ]
+        return [*columns, self.times(data)] if self.timed else columns
+
+    def get_state(self) -> dict[str, Any]:
+        """Return what `from_state` needs, as data for JSON."""
+        return {
+            "timed": self.timed,
+            "clock": list(self.clock),
+            "scales": [list(scale) for scale in self.scales],
+        }
+
+    @classmethod
+    def from_state(cls, state: dict[str, Any], contexts: Sequence[Context]) -> Self:
+        """Return the inputs that `get_state` came from.
+
+        Raises:
+            ValueError: If the state does not suit the contexts.
+        """
+        names = tuple(context.name for context in contexts)
+        scales = tuple(Scale(float(origin), float(unit)) for origin, unit in state["scales"])
+        clock = Scale(*map(float, state["clock"]))
+        if len(scales) != len(names) or not all(unit > 0.0 for _, unit in (*scales, clock)):
+            raise ValueError(f"the scales of the contexts are {state['scales']}")
+        return cls(names, scales, clock, bool(state["timed"]))
+
+
+def _scaled(values: Array, scale: Scale) -> Array:
+    """Return values from an origin on in a unit; NaN becomes 0."""
+    # What is farther than any length-scale would only cost digits.
+    far = LONGEST_CONTEXT_SCALE
+    return np.nan_to_num(np.clip((values - scale.origin) / scale.unit, -far, far))
+
+
+def _scale(context: Context, data: Dataset) -> Scale:
+    """Return the middle and half the width of the range that is given, or of the readings."""
+    low, high = context.minimum, context.maximum
+    if not math.isfinite(high - low):
+        readings = data.lasting(context.name)
+        readings = readings[np.isfinite(readings)]
+        low, high = (float(readings.min()), float(readings.max())) if len(readings) else (0.0, 0.0)
+    return Scale(0.5 * (low + high), 0.5 * (high - low) or 1.0)
+
+
+def _clock(times: Array, unit: float) -> Scale:
+    if not unit:
+        steps = np.diff(np.sort(times))
+        unit = _TIME_UNIT * (float(np.median(steps)) if len(steps) else 1.0)
+    return Scale(float(times.max(initial=-math.inf)), unit or 1.0)

@@ -334,6 +334,30 @@ class Dataset:
             name,
         )
 
+    def lasting(self, name: str) -> Array:
+        """Return the values of one diagnostic, which last until the next reading ``(n,)``.
+
+        Readings of failed evaluations count, too. The first one also counts for those before it; all are
+        NaN if there is none.
+        """
+        return self._once("lasting", lambda: self._lasting(name), name)
+
+    def _lasting(self, name: str) -> Array:
+        values = np.array(
+            [
+                math.nan
+                if e.forgotten or name in e.forgotten_names
+                else e.values.get(name, math.nan)
+                for e in self.evaluations
+            ],
+            dtype=float,
+        )
+        known = np.flatnonzero(np.isfinite(values))
+        if len(known):
+            latest = np.searchsorted(known, np.arange(len(values)), side="right") - 1
+            values = values[known[np.maximum(latest, 0)]]
+        return values
+
     def once(self, function: Callable[[Dataset], bool]) -> bool:
         """Return the result of a function of this dataset, computed once until something changes."""
         if function not in self._results:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
-from mobo_tuner.core.kernels import Kernel, Timed
+from mobo_tuner.core.kernels import Contextual, Kernel
 from mobo_tuner.core.linear_algebra import FloatArray
 from mobo_tuner.core.posterior import Posterior
 from mobo_tuner.core.training import (
@@ -90,7 +90,7 @@ def noise_evidence(
 
 def drift_evidence(
     settings: GaussianProcessSettings,
-    kernel: Timed,
+    kernel: Contextual,
     x: FloatArray,
     z: FloatArray,
     extra: FloatArray,
@@ -117,7 +117,7 @@ def drift_evidence(
     x, z, extra = x[rows], z[rows], extra[rows]
     weak, n, at = settings.prior == "weak", len(z), kernel.size - 1
     timed = NegativeLogPosterior(kernel, x, z, extra, weak, noisy=True)
-    steady = NegativeLogPosterior(kernel.settable, x[:, :-1], z, extra, weak, noisy=True)
+    steady = NegativeLogPosterior(kernel.without_last(), x[:, :-1], z, extra, weak, noisy=True)
     free = held_parameters(settings, kernel, 1.0)[1]
     noises = [parameters[-1], *_NOISE_LEVELS[:3]] if free[-1] else [parameters[-1]]
     levels = [

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from mobo_tuner.core.evidence import drift_evidence, noise_evidence
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
-from mobo_tuner.core.kernels import Kernel, Timed, as_inputs
+from mobo_tuner.core.kernels import Contextual, Kernel, as_inputs
 from mobo_tuner.core.linear_algebra import FloatArray, single_blas_thread
 from mobo_tuner.core.output_scaling import OutputScaling, is_constant
 from mobo_tuner.core.posterior import Posterior
@@ -88,14 +88,14 @@ class GaussianProcess:
             left-out observations best.
         mean_gradient: Gradient of `mean`, from inputs `(m, d)` to `(m, d)`; by default central
             differences.
-        timed: Whether the last input is time, which nobody sets. Predictions at inputs without it are
-            for the time `now`.
+        contexts: Number of the last inputs that nobody sets, such as time. Predictions at inputs
+            without them are for the values in `now`.
 
     Attributes:
         settings: Settings of the model.
         reference: Component of the reference point; None if there is none.
-        timed: Whether the last input is time.
-        now: Time of predictions, in the unit of the last input.
+        contexts: Number of the last inputs that nobody sets.
+        now: Their values for predictions `(contexts,)`, in the units of the inputs.
 
     Raises:
         ValueError: If the reference is missing or not finite, or a gradient is given without a mean.
@@ -108,11 +108,11 @@ class GaussianProcess:
         *,
         mean: MeanFunction | None = None,
         mean_gradient: MeanFunction | None = None,
-        timed: bool = False,
+        contexts: int = 0,
     ) -> None:
         self.settings = settings or GaussianProcessSettings()
-        self.timed = timed
-        self.now = 0.0
+        self.contexts = contexts
+        self.now = np.zeros(contexts)
         if mean is None and mean_gradient is not None:
             raise ValueError("mean_gradient needs a mean function")
         self._mean, self._mean_gradient = mean, mean_gradient
@@ -160,7 +160,7 @@ class GaussianProcess:
         """
         d = None if self._state is None else self._state.posterior.kernel.d
         inputs, outputs, noise = _checked_data(x, y, stddev, d)
-        kernel = self.settings.make_kernel(inputs.shape[1], self.timed)
+        kernel = self.settings.make_kernel(inputs.shape[1], self.contexts)
         generator = np.random.default_rng(0) if rng is None else rng
         starts = self.settings.restarts if restarts is None else restarts
         part = slice(None, None, -(-len(outputs) // (most_trained or len(outputs))))
@@ -257,7 +257,7 @@ class GaussianProcess:
         In the output's units and without the noise of an observation.
         """
         model, posterior, *_ = self._fitted
-        inputs = self._timed_inputs(x)
+        inputs = self._whole_inputs(x)
         with single_blas_thread():
             mean, stddev = posterior.predict(inputs)
         return model.scaling.to_output(*model.scaling.unstandardise(inputs, mean, stddev))
@@ -265,7 +265,7 @@ class GaussianProcess:
     def predict_with_gradient(self, x: ArrayLike) -> Prediction:
         """Return the results of `predict` and their gradients in x; O(m n^2), about twice the time."""
         (_, scaling, _), posterior, *_ = self._fitted
-        inputs = self._timed_inputs(x)
+        inputs = self._whole_inputs(x)
         d = np.shape(x)[1]
         with single_blas_thread():
             mean, stddev, gradients = posterior.predict_with_gradient(inputs)
@@ -294,7 +294,7 @@ class GaussianProcess:
             normals: Independent standard normal numbers `(s, m)`.
         """
         model, posterior, *_ = self._fitted
-        inputs = self._timed_inputs(x)
+        inputs = self._whole_inputs(x)
         with single_blas_thread():
             mean, root = posterior.joint(inputs)
             drawn = model.scaling.prior_mean(inputs) + model.scaling.scale * (
@@ -311,21 +311,23 @@ class GaussianProcess:
                 self.settings, posterior.kernel, posterior.x, posterior.z, known, model.parameters
             )
 
-    def drift_evidence(self, times: FloatArray) -> float:
+    def drift_evidence(self, times: FloatArray, timed: bool) -> float:
         """Return the log evidence that the function changes with time, see `evidence.drift_evidence`.
 
         Args:
-            times: Times of the observations `(n,)`, in the unit of the last input.
+            times: Times of the observations `(n,)`, in the unit of time.
+            timed: Whether the last input is time.
         """
         model, posterior, y, stddev = self._fitted
-        d = posterior.kernel.d - self.timed
+        d, others = posterior.kernel.d - timed, self.contexts - timed
         x = np.column_stack([posterior.x[:, :d], times])
-        shape = posterior.shape[:-1] if self.timed else posterior.shape
+        shape = posterior.shape[:-1] if timed else posterior.shape
+        settable = self.settings.make_kernel(d - others)
         known = self._known_noise(model.scaling, y, stddev)
         with single_blas_thread():
             return drift_evidence(
                 self.settings,
-                Timed(self.settings.make_kernel(d)),
+                Contextual(settable, others + 1),
                 x,
                 posterior.z,
                 known,
@@ -339,7 +341,7 @@ class GaussianProcess:
             self.reference,
             mean=self._mean,
             mean_gradient=self._mean_gradient,
-            timed=self.timed,
+            contexts=self.contexts,
         )
         model.now = self.now
         return model
@@ -364,10 +366,10 @@ class GaussianProcess:
 
     @property
     def precision(self) -> FloatArray:
-        """Precision matrix Lambda `(d, d)` without time; length-scales are `1 / sqrt` of its diagonal."""
+        """Precision matrix Lambda `(d, d)` of what is set; length-scales are `1 / sqrt` of its diagonal."""
         factor = self._fitted.posterior.factor
-        whole = np.asarray(factor @ factor.T)
-        return whole[:-1, :-1] if self.timed else whole
+        d = len(factor) - self.contexts
+        return np.asarray(factor @ factor.T)[:d, :d]
 
     @property
     def variance(self) -> float:
@@ -414,7 +416,7 @@ class GaussianProcess:
     def noise_at(self, x: FloatArray) -> float:
         """Return the standard deviation of one observation near x `(d,)`: learned, and known at the nearest one."""
         model, posterior, _, stddev = self._fitted
-        here = self._timed_inputs(x[None])
+        here = self._whole_inputs(x[None])
         nearest = int(np.square(posterior.x - here).sum(axis=1).argmin())
         fixed = 0.0 if isinstance(self.settings.noise, str) else self.settings.noise
         learned = 0.0 if model.scaling.log else self.noise
@@ -428,7 +430,7 @@ class GaussianProcess:
             "settings": self.settings.to_dict(),
             "reference": self.reference,
             "mean_function": self._mean is not None,
-            "timed": self.timed,
+            "contexts": self.contexts,
             "trained": {name: parameters.tolist() for name, parameters in self._trained.items()},
             "fitted": None,
         }
@@ -473,16 +475,16 @@ class GaussianProcess:
         if state["mean_function"] != (mean is not None):
             raise ValueError("mean must be given if and only if the model was made with one")
         settings = GaussianProcessSettings.from_dict(state["settings"])
-        timed = bool(state.get("timed", False))
+        contexts = int(state["contexts"])
         restored = cls(
-            settings, state["reference"], mean=mean, mean_gradient=mean_gradient, timed=timed
+            settings, state["reference"], mean=mean, mean_gradient=mean_gradient, contexts=contexts
         )
         fitted = state["fitted"]
         if fitted is None:
             return restored
-        if not fitted["d"] > timed:
-            raise ValueError(f"the state has {fitted['d']} inputs, time included")
-        kernel = settings.make_kernel(fitted["d"], timed)
+        if not fitted["d"] > contexts >= 0:
+            raise ValueError(f"the state has {fitted['d']} inputs, of which nobody sets {contexts}")
+        kernel = settings.make_kernel(fitted["d"], contexts)
         restored._trained = {
             name: _hyperparameters(values, kernel) for name, values in state["trained"].items()
         }
@@ -515,13 +517,13 @@ class GaussianProcess:
 
     # Inside.
 
-    def _timed_inputs(self, x: ArrayLike) -> FloatArray:
-        """Return the inputs of predictions with the time `now`, if they lack a time."""
+    def _whole_inputs(self, x: ArrayLike) -> FloatArray:
+        """Return the inputs of predictions with the contexts of `now`, if they lack them."""
         d = self._fitted.posterior.kernel.d
-        if not self.timed or np.shape(x)[-1] == d:
+        if not self.contexts or np.shape(x)[-1] == d:
             return as_inputs(x, d)
-        inputs = as_inputs(x, d - 1)
-        return np.column_stack([inputs, np.full(len(inputs), self.now)])
+        inputs = as_inputs(x, d - self.contexts)
+        return np.column_stack([inputs, np.tile(self.now, (len(inputs), 1))])
 
     @property
     def _fitted(self) -> _State:

@@ -9,7 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from mobo_tuner.core.kernels import KERNELS, Kernel, Timed
+from mobo_tuner.core.kernels import KERNELS, Contextual, Kernel
 from mobo_tuner.core.linear_algebra import FloatArray
 from mobo_tuner.core.values import LARGEST
 from mobo_tuner.errors import ParameterError
@@ -114,20 +114,20 @@ class GaussianProcessSettings:
                     "matrix are allowed"
                 )
 
-    def make_kernel(self, d: int, timed: bool = False) -> Kernel:
-        """Return the kernel for d inputs; with `timed`, the last of them is time."""
+    def make_kernel(self, d: int, contexts: int = 0) -> Kernel:
+        """Return the kernel for d inputs, of which nobody sets the last `contexts`."""
         kernel = KERNELS.find(self.kernel)
-        return Timed(kernel(d - 1)) if timed else kernel(d)
+        return Contextual(kernel(d - contexts), contexts) if contexts else kernel(d)
 
     def held_shape(self, kernel: Kernel) -> FloatArray | None:
         """Return the shape parameters `(k,)` that are held; None if they are trained.
 
-        The time scale of a kernel with time is not among them: it is always trained.
+        The scales of inputs that nobody sets are not among them: they are always trained.
 
         Raises:
             ValueError: If the length-scales or the precision matrix do not suit the kernel.
         """
-        kernel = kernel.settable if isinstance(kernel, Timed) else kernel
+        kernel = kernel.settable if isinstance(kernel, Contextual) else kernel
         if self.precision is not None:
             size = math.isqrt(len(self.precision))
             if size != kernel.d:

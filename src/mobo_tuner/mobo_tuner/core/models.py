@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mobo_tuner.core.context import Context
+from mobo_tuner.core.context import ContextInputs
 from mobo_tuner.core.dataset import BoolArray, Dataset
 from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.prior_mean import Prior, PriorMeans
@@ -66,7 +66,7 @@ class Models:
         self._means = PriorMeans(problem, {} if prior_means is None else prior_means)
         self._settings = settings
         self._steadiness = Steadiness(settings.noise, settings.drift)
-        self._context = Context(timed=self._steadiness.drifts)
+        self._context = ContextInputs.of(Dataset(problem), self.drifts, settings.drift_time)
         self._processes = self._untrained()
         self.validity = ValidityModel()
         self._judged = 0  # number of evaluations that the model of validity holds
@@ -86,7 +86,7 @@ class Models:
                 o.sign * o.reference if math.isfinite(o.reference) else 0.0,
                 mean=self._means.mean(o.name),
                 mean_gradient=self._means.gradient(o.name),
-                timed=self._context.timed,
+                contexts=self._context.count,
             )
             for o in self._problem.objectives
         }
@@ -98,7 +98,7 @@ class Models:
                     constrained,
                     mean=self._means.mean(name),
                     mean_gradient=self._means.gradient(name),
-                    timed=self._context.timed,
+                    contexts=self._context.count,
                 )
         return processes
 
@@ -169,9 +169,14 @@ class Models:
         """Whether the machine changes with time: as the settings say, or by the evidence."""
         return self._steadiness.drifts
 
+    @property
+    def varies(self) -> bool:
+        """Whether the machine changes with what nobody sets, so that old readings are not those of now."""
+        return self.drifts or bool(self._problem.context)
+
     def trusts_readings(self, data: Dataset) -> bool:
-        """Return whether a reading counts as it is: the machine neither drifts nor is noisy."""
-        return not (self.drifts or self._steadiness.is_noisy(data, self._processes))
+        """Return whether a reading counts as it is: the machine neither varies nor is noisy."""
+        return not (self.varies or self._steadiness.is_noisy(data, self._processes))
 
     def extended(self, data: Dataset) -> Models:
         """Return models that know all of `data`, with the hyperparameters of the last training.
@@ -256,7 +261,7 @@ class Models:
         """
         if train:
             former, drifts = self._context, self.drifts
-            self._context = Context.of(drifts, data.times, self._settings.drift_time)
+            self._context = ContextInputs.of(data, drifts, self._settings.drift_time)
             if drifts != former.timed:
                 restarts = None
                 self._processes = self._untrained()
@@ -298,7 +303,7 @@ class Models:
             deadline = begin + _TRAINING_SHARE * self._seconds
             if self._settings.drift == "auto" and not again:
                 self._steadiness = self._steadiness.with_drift_of(
-                    self._timed_outputs(data), deadline
+                    self._timed_outputs(data), self._context.timed, deadline
                 )
                 if self.drifts != self._context.timed and not self._is_hurried:
                     return self._learn(data, train, restarts, again=True)
@@ -317,8 +322,8 @@ class Models:
                 yield process, times[rows]
 
     def _set_now(self, data: Dataset) -> None:
-        """Let the processes predict for the time of the latest evaluation that they hold."""
-        if self._context.timed:
+        """Let the processes predict for the latest contexts and time that they hold."""
+        if self._context.count:
             now = self._context.now(data, self._held)
             for process in self._processes.values():
                 process.now = now
@@ -456,7 +461,7 @@ class Models:
             "outdated": self._outdated,
             "noise_evidence": self._steadiness.noise_evidence,
             "drift_evidence": self._steadiness.drift_evidence,
-            "timed": self._context.timed,
+            "context": self._context.get_state(),
             "suspects": {name: rows.tolist() for name, rows in self._suspects.items()},
             "validity": self.validity.get_state(),
             "processes": {name: p.get_state() for name, p in self._processes.items()},
@@ -474,7 +479,7 @@ class Models:
         self._steadiness = replace(
             self._steadiness,
             noise_evidence=float(state["noise_evidence"]),
-            drift_evidence=float(state.get("drift_evidence", 0.0)),
+            drift_evidence=float(state["drift_evidence"]),
         )
         self._suspects = {
             name: np.array(rows, dtype=np.intp) for name, rows in state["suspects"].items()
@@ -490,8 +495,7 @@ class Models:
                 f"evaluations and hold {self._held}, those of failures {self._judged}, "
                 f"but there are {len(data)}"
             )
-        timed, times = bool(state.get("timed", False)), data.times[: self._trained_rows]
-        self._context = Context.of(timed, times, self._settings.drift_time)
+        self._context = ContextInputs.from_state(state["context"], self._problem.context)
         judged = self._selection.of_failures(data, self._judged)
         self.validity = ValidityModel.from_state(
             state["validity"], data.inputs[judged], ~data.failed[judged]
@@ -507,7 +511,8 @@ class Models:
                 mean=self._means.mean(name),
                 mean_gradient=self._means.gradient(name),
             )
-            if self._processes[name].n != len(rows) or self._processes[name].timed != timed:
+            process = self._processes[name]
+            if process.n != len(rows) or process.contexts != self._context.count:
                 raise ProblemError(f"the state lacks what the model of '{name}' was fitted to")
         self._set_now(data)
 

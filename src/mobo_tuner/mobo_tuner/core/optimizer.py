@@ -483,7 +483,7 @@ class Optimizer:
             for evaluation in told_evaluations(state):
                 restored.tell(*evaluation)
             restored.archive.set_state(state)
-            pending = state.get("pending", [])  # there were none before there were batches
+            pending = state["pending"]
             for setpoint in pending:
                 restored.problem.normalize(setpoint)
             restored._pending = Pending(pending)

@@ -13,7 +13,7 @@ from mobo_tuner.core.dataset import Dataset
 from mobo_tuner.core.problem import ProblemError
 from mobo_tuner.errors import UserError
 
-STATE_VERSION = 2
+STATE_VERSION = 3
 
 
 class Told(NamedTuple):

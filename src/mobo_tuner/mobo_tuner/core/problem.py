@@ -28,7 +28,7 @@ from mobo_tuner.core.problem_definition import (
     read_definition,
     share_of,
 )
-from mobo_tuner.core.quantities import Constraint, Limit, Objective, Observable, Variable
+from mobo_tuner.core.quantities import Constraint, Context, Limit, Objective, Observable, Variable
 from mobo_tuner.core.values import (
     LARGEST,
     ProblemError,
@@ -47,6 +47,7 @@ __all__ = [
     "SECTIONS",
     "Array",
     "Constraint",
+    "Context",
     "Limit",
     "Objective",
     "Observable",
@@ -67,7 +68,7 @@ _SINGLE_PRECISION = 1e-6  # relative difference of a sentinel that passed throug
 
 @dataclass(frozen=True)
 class Problem:
-    """Variables, objectives, constraints and observables, in the order in which they were given.
+    """Variables, objectives, constraints, observables and contexts, in the order in which they were given.
 
     The field calls it VOCS. Build one with :meth:`from_yaml` or :meth:`from_dict`, which check it.
 
@@ -91,6 +92,7 @@ class Problem:
     observables: tuple[Observable, ...] = ()
     limits: tuple[Limit, ...] = ()
     derived: tuple[Derived, ...] = ()
+    context: tuple[Context, ...] = ()
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> Problem:
@@ -160,6 +162,7 @@ class Problem:
                 self.observables,
                 self.limits,
                 self.derived,
+                self.context,
             )
         )
 

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 from mobo_tuner.core.derived import CONSTANTS, Derived
 from mobo_tuner.core.quantities import (
     Constraint,
+    Context,
     Limit,
     Objective,
     Observable,
@@ -29,7 +30,15 @@ from mobo_tuner.core.values import (
 _OF_VARIABLES = (
     *("min", "max", "unit", "cost", "step", "choices", "scale", "fixed", "around", "approach"),
 )
-SECTIONS = ("variables", "limits", "derived", "objectives", "constraints", "observables")
+SECTIONS = (
+    "variables",
+    "limits",
+    "derived",
+    "objectives",
+    "constraints",
+    "observables",
+    "context",
+)
 MOST_VALUES = 2_000_000
 """Largest number of values on the grid of a variable."""
 PRESENT = "present"
@@ -48,6 +57,7 @@ class Quantities(NamedTuple):
     observables: tuple[Observable, ...]
     limits: tuple[Limit, ...]
     derived: tuple[Derived, ...]
+    context: tuple[Context, ...]
 
 
 def read_definition(mapping: Mapping[str, Any]) -> Quantities:
@@ -69,17 +79,21 @@ def read_definition(mapping: Mapping[str, Any]) -> Quantities:
     derived = tuple(_derived(n, m) for n, m in sections["derived"].items())
     constraints = tuple(_constraint(n, m) for n, m in sections["constraints"].items())
     _check_derived(derived, variables, constraints)
+    _check_context(sections)
+    observables = sections["observables"]
+    for name, entry in sections["context"].items():  # whatever is a context is also observed
+        invalid = {"invalid": entry["invalid"]} if "invalid" in entry else {}
+        observables.setdefault(name, {"unit": entry.get("unit", ""), **invalid})
     return Quantities(
         variables=variables,
         objectives=_with_units(
             (_objective(n, m) for n, m in sections["objectives"].items()), derived
         ),
         constraints=_with_units(constraints, derived),
-        observables=_with_units(
-            (_observable(n, m) for n, m in sections["observables"].items()), derived
-        ),
+        observables=_with_units((_observable(n, m) for n, m in observables.items()), derived),
         limits=tuple(_limit(n, m, variables) for n, m in sections["limits"].items()),
         derived=derived,
+        context=_with_units((_context(n, m) for n, m in sections["context"].items()), derived),
     )
 
 
@@ -87,6 +101,15 @@ def definition_of(quantities: Quantities) -> dict[str, dict[str, dict[str, Any]]
     """Return the mapping from which `read_definition` reads equal quantities."""
     limits = {limit.name: _limit_entry(limit) for limit in quantities.limits}
     derived = {d.name: {"formula": d.formula, "unit": d.unit} for d in quantities.derived}
+    context = {
+        c.name: {
+            key: value
+            for key, value in (("min", c.minimum), ("max", c.maximum))
+            if math.isfinite(value)
+        }
+        | {"unit": c.unit}
+        for c in quantities.context
+    }
     return {
         "variables": {
             v.name: {
@@ -129,6 +152,7 @@ def definition_of(quantities: Quantities) -> dict[str, dict[str, dict[str, Any]]
         },
         **({"limits": limits} if limits else {}),
         **({"derived": derived} if derived else {}),
+        **({"context": context} if context else {}),
     }
 
 
@@ -365,7 +389,7 @@ def _check_derived(
             )
 
 
-_Measured = TypeVar("_Measured", Objective, Constraint, Observable)
+_Measured = TypeVar("_Measured", Objective, Constraint, Observable, Context)
 
 
 def _with_units(
@@ -433,6 +457,38 @@ def _observable(name: str, entry: Mapping[str, Any]) -> Observable:
     check_names(where, entry, ("unit", "invalid"))
     unit = as_string(f"{where}.unit", entry.get("unit", ""))
     return Observable(name, unit, _invalid(where, entry))
+
+
+def _context(name: str, entry: Mapping[str, Any]) -> Context:
+    where = f"context.{name}"
+    check_names(where, entry, ("min", "max", "unit", "invalid"))
+    unit = as_string(f"{where}.unit", entry.get("unit", ""))
+    if "min" not in entry and "max" not in entry:
+        return Context(name, unit=unit)
+    low, high = (
+        as_number(f"{where}.{key}", _required(where, entry, key)) for key in ("min", "max")
+    )
+    if not low < high:
+        raise ProblemError(f"{where}.min is {low:g}, which must be less than its max of {high:g}")
+    return Context(name, low, high, unit)
+
+
+def _check_context(sections: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> None:
+    """Check that contexts are nothing that is set, wanted or limited, and have one unit."""
+    for name, entry in sections["context"].items():
+        for section in ("variables", "objectives", "constraints"):
+            if name in sections[section]:
+                raise ProblemError(
+                    f"context.{name} is also in '{section}'; a diagnostic that is neither set, wanted nor "
+                    "limited is allowed"
+                )
+        observed = sections["observables"].get(name, {})
+        for key in ("unit", "invalid"):
+            if key in observed and key in entry and observed[key] != entry[key]:
+                raise ProblemError(
+                    f"context.{name}.{key} is {entry[key]!r:.40}, and observables.{name}.{key} is "
+                    f"{observed[key]!r:.40}; one of the two is allowed"
+                )
 
 
 def _ends(where: str, entry: Mapping[str, Any]) -> tuple[float, float]:

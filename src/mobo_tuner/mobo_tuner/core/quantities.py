@@ -1,4 +1,4 @@
-"""What a problem is made of: variables, limits, objectives, constraints and observables."""
+"""What a problem is made of: variables, limits, objectives, constraints, observables and contexts."""
 
 from __future__ import annotations
 
@@ -197,3 +197,20 @@ class Observable:
     name: str
     unit: str = ""
     invalid: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Context:
+    """A diagnostic on which the others depend and that nobody sets, such as a temperature.
+
+    Attributes:
+        name: Name of the observable.
+        minimum: Lower end of the range in which it is expected [`unit`]; infinite = as measured so far.
+        maximum: Upper end of the range.
+        unit: Unit.
+    """
+
+    name: str
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    unit: str = ""

@@ -54,9 +54,7 @@ class Steadiness:
             return True
         if any((data.stddev_column(name) > 0.0).any() for name in outputs):
             return True
-        if self.learns_noise or self.drifts:
-            return self.learns_noise
-        return isinstance(self.noise, str) and data.once(readings_differ)
+        return self.learns_noise or (isinstance(self.noise, str) and data.once(readings_differ))
 
     def with_noise_of(self, processes: Iterable[GaussianProcess], deadline: float) -> Steadiness:
         """Return the steadiness with the evidence of noise in all outputs.
@@ -74,18 +72,19 @@ class Steadiness:
         return replace(self, noise_evidence=evidence)
 
     def with_drift_of(
-        self, processes: Iterable[tuple[GaussianProcess, Array]], deadline: float
+        self, processes: Iterable[tuple[GaussianProcess, Array]], timed: bool, deadline: float
     ) -> Steadiness:
         """Return the steadiness with the evidence of drift in all outputs.
 
         Args:
             processes: Trained model of each output, and when its observations were measured ``(n,)``,
                 in units of time.
+            timed: Whether time is the last of their inputs.
             deadline: Time by which it must be known [s], of `time.monotonic`; else it stays as it was.
         """
         evidence = 0.0
         for process, times in processes:
             if time.monotonic() > deadline:
                 return self
-            evidence += max(process.drift_evidence(times), 0.0)
+            evidence += max(process.drift_evidence(times, timed), 0.0)
         return replace(self, drift_evidence=evidence)

@@ -65,6 +65,8 @@ def explanation(configuration: Configuration) -> list[str]:
         _quantity(o.name, f"[{o.unit}]" if o.unit else "") for o in problem.observables
     )
     lines += _entry("observables", [observables or "none"])
+    if problem.context:
+        lines += _entry("context", [", ".join(c.name for c in problem.context)])
     lines += _entry("method", [_method(configuration.tuner)])
     lines += _entry("budget", [_budget(configuration.tuner)])
     lines += _entry("ends early", _stops(configuration.tuner) or ["never"])

@@ -117,7 +117,7 @@ def program() -> Program:
         tuner_specs({}),
         "The defaults of the method are those of the preset 'default' with its maximizer; see\n"
         "docs/parameters.md. The problem is given by the parameters below variables, objectives,\n"
-        "constraints and observables, as in variables.K1.min.",
+        "constraints, observables and context, as in variables.K1.min.",
     )
 
 

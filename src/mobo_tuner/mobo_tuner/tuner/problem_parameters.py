@@ -142,6 +142,20 @@ QUANTITY_PARAMETERS = tuple(
         ("constraints", "unit", "text, empty", _UNIT),
         ("observables", "invalid", "list of numbers, empty", _INVALID),
         ("observables", "unit", "text, empty", _UNIT),
+        (
+            "context",
+            "min",
+            "number, as measured",
+            "Lower end of the range in which it is expected; a reading may lie outside. With max, or neither.",
+        ),
+        (
+            "context",
+            "max",
+            "number, as measured",
+            "Upper end of the range in which it is expected.",
+        ),
+        ("context", "invalid", "list of numbers, empty", _INVALID),
+        ("context", "unit", "text, empty", _UNIT),
     )
 )
 _BY_NAME = {(p.section, p.leaf): p for p in QUANTITY_PARAMETERS}
