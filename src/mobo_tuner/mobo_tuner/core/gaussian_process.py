@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mobo_tuner.core.evidence import drift_evidence, noise_evidence
+from mobo_tuner.core.evidence import NoiseEvidence, drift_evidence, noise_evidence
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
 from mobo_tuner.core.kernels import Contextual, Kernel, as_inputs
 from mobo_tuner.core.linear_algebra import FloatArray, single_blas_thread
@@ -302,8 +302,8 @@ class GaussianProcess:
             )
         return np.exp(drawn) if model.scaling.log else drawn
 
-    def noise_evidence(self) -> float:
-        """Return the log evidence that the readings are noisy, see `evidence.noise_evidence`."""
+    def noise_evidence(self) -> NoiseEvidence:
+        """Return the evidence that the readings are noisy, see `evidence.noise_evidence`."""
         model, posterior, y, stddev = self._fitted
         known = self._known_noise(model.scaling, y, stddev)
         with single_blas_thread():

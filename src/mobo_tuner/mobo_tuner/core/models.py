@@ -459,7 +459,7 @@ class Models:
             "held": self._held,
             "judged": self._judged,
             "outdated": self._outdated,
-            "noise_evidence": self._steadiness.noise_evidence,
+            "noisy": self._steadiness.is_noisy_by_evidence,
             "drift_evidence": self._steadiness.drift_evidence,
             "context": self._context.get_state(),
             "suspects": {name: rows.tolist() for name, rows in self._suspects.items()},
@@ -478,7 +478,7 @@ class Models:
         self._outdated = bool(state["outdated"])
         self._steadiness = replace(
             self._steadiness,
-            noise_evidence=float(state["noise_evidence"]),
+            is_noisy_by_evidence=bool(state["noisy"]),
             drift_evidence=float(state["drift_evidence"]),
         )
         self._suspects = {

@@ -12,6 +12,8 @@ from mobo_tuner.core.problem import Array
 from mobo_tuner.core.resolution import readings_differ
 
 _NOISY = 11.0  # log evidence from which on the machine is taken for noisy
+_CLEARLY_NOISY = 5.0  # the same of outputs whose noise is plain to see
+_STILL_NOISY = 0.0  # the same of a machine that was taken for noisy before
 _DRIFTS = 10.0  # log evidence from which on the machine is taken to drift
 
 
@@ -22,13 +24,13 @@ class Steadiness:
     Attributes:
         noise: Setting of the noise.
         drift: Setting of the drift.
-        noise_evidence: Log evidence of noise at the last training.
+        is_noisy_by_evidence: Whether the evidence says that there is noise, as of the last training.
         drift_evidence: Log evidence of drift at the last training.
     """
 
     noise: str | float
     drift: str
-    noise_evidence: float = 0.0
+    is_noisy_by_evidence: bool = False
     drift_evidence: float = 0.0
 
     @property
@@ -39,7 +41,7 @@ class Steadiness:
     @property
     def learns_noise(self) -> bool:
         """Whether the noise is learned and the evidence says that there is some."""
-        return isinstance(self.noise, str) and self.noise_evidence > _NOISY
+        return isinstance(self.noise, str) and self.is_noisy_by_evidence
 
     def is_noisy(self, data: Dataset, outputs: Collection[str]) -> bool:
         """Return whether the machine is noisy: as was said or told, or by the evidence.
@@ -63,13 +65,16 @@ class Steadiness:
             processes: Trained model of each output.
             deadline: Time by which it must be known [s], of `time.monotonic`; else it stays as it was.
         """
-        evidence = 0.0
+        evidence = clear = 0.0
         for process in processes:
             if time.monotonic() > deadline:
                 return self
             if process.n:
-                evidence += max(process.noise_evidence(), 0.0)
-        return replace(self, noise_evidence=evidence)
+                found = process.noise_evidence()
+                evidence += max(found.log, 0.0)
+                clear += max(found.log, 0.0) * found.is_clear
+        least = _STILL_NOISY if self.is_noisy_by_evidence else _CLEARLY_NOISY
+        return replace(self, is_noisy_by_evidence=evidence > _NOISY or clear > least)
 
     def with_drift_of(
         self, processes: Iterable[tuple[GaussianProcess, Array]], timed: bool, deadline: float
