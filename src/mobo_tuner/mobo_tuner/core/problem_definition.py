@@ -80,10 +80,9 @@ def read_definition(mapping: Mapping[str, Any]) -> Quantities:
     constraints = tuple(_constraint(n, m) for n, m in sections["constraints"].items())
     _check_derived(derived, variables, constraints)
     _check_context(sections)
-    observables = sections["observables"]
+    observables = dict(sections["observables"])
     for name, entry in sections["context"].items():  # whatever is a context is also observed
-        invalid = {"invalid": entry["invalid"]} if "invalid" in entry else {}
-        observables.setdefault(name, {"unit": entry.get("unit", ""), **invalid})
+        observables.setdefault(name, {k: v for k, v in entry.items() if k in ("unit", "invalid")})
     return Quantities(
         variables=variables,
         objectives=_with_units(
