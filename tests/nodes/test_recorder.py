@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import resource
+import shutil
 import signal
 from collections import Counter
 from collections.abc import Callable
@@ -340,6 +341,18 @@ def test_a_write_error_is_reported_and_the_node_lives_on(
     assert "the bag cannot be written: File too large" in recording.process.stderr
     assert [m.data for m in read_with_rosbags(recording.bag)["/text"]] == ["short"]
     assert [m.data for m in read_with_mcap(recording.bag)["/text"]] == ["short"]
+
+
+def test_a_bag_that_is_deleted_is_told_of(
+    record: Callable[..., Recording], node: Node, spin_until: SpinUntil
+) -> None:
+    texts = node.create_publisher(String, "text", STREAM)
+    recording = record()
+    recording.wait_for(texts)
+    shutil.rmtree(recording.bag)
+    spin_until(lambda: not recording.status.recording, "the recorder to give up")
+    assert recording.status.message == "the bag cannot be written: it was deleted"
+    assert recording.process.stop() == 0
 
 
 def refused(start_node: NodeStarter, bag_path: str) -> str:

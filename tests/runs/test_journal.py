@@ -12,7 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mobo_tuner.runs.journal import FILE_NAME, Journal, JournalError, append_record, read_journal
+from mobo_tuner.runs.journal import (
+    FILE_NAME,
+    Journal,
+    JournalError,
+    JournalWriteError,
+    append_record,
+    read_journal,
+)
 
 START = {
     "type": "start",
@@ -181,6 +188,14 @@ def test_a_journal_without_a_start_is_an_error(tmp_path: Path, content: bytes) -
 def test_a_missing_journal_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(JournalError, match="cannot be read: No such file"):
         read_journal(tmp_path)
+
+
+def test_a_journal_that_was_deleted_is_told_of(tmp_path: Path) -> None:
+    with Journal.create(tmp_path, [START]) as journal:
+        journal.append({"type": "queued"})
+        journal.path.unlink()
+        with pytest.raises(JournalWriteError, match="cannot be written: it was deleted"):
+            journal.append({"type": "end"})
 
 
 def test_a_full_disk_leaves_whole_lines_and_the_journal_usable(tmp_path: Path) -> None:

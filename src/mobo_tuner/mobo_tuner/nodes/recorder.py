@@ -7,6 +7,7 @@ topics of the nodes contain the whole run, with one `Evaluation` per evaluation.
 from __future__ import annotations
 
 import contextlib
+import errno
 import shutil
 import time
 from collections.abc import Callable
@@ -155,6 +156,8 @@ class Recorder:
             return
         try:
             self._bag.flush()
+            if not self._bag.path.exists():  # what is written now would be lost silently
+                raise FileNotFoundError(errno.ENOENT, "it was deleted")
         except OSError as error:
             self._fail(error)
 

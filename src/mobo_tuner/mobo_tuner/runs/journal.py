@@ -8,6 +8,7 @@ is missing or was moved is noticed.
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import json
 import math
@@ -127,6 +128,10 @@ class Journal:
             raise ValueError(f"the journal '{self.path}' is closed")
         content = b"".join(lines)
         try:
+            if (
+                os.fstat(self._descriptor).st_nlink == 0
+            ):  # what is written now would be lost silently
+                raise FileNotFoundError(errno.ENOENT, "it was deleted")
             rest = memoryview(content)
             while rest:
                 rest = rest[os.write(self._descriptor, rest) :]
