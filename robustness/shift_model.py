@@ -80,6 +80,7 @@ class ShiftModel:
         running: Whether a run is active.
         dead_recorders: Bags whose recorder was killed or cannot write, with the time of that.
         ended: Ids of the runs that have ended.
+        lacking: Ids of those whose journal lacks an evaluation, which the bag may have.
         latest: Id of the run that began last.
     """
 
@@ -93,6 +94,7 @@ class ShiftModel:
         self.running = False
         self.dead_recorders: dict[str, float] = {}
         self.ended: list[str] = []
+        self.lacking: set[str] = set()
         self.latest = ""
 
     def check(self) -> None:
@@ -142,6 +144,8 @@ class ShiftModel:
         self.ended.append(result.run_id)
         self.latest = result.run_id
         lacking = "it lacks evaluation" in result.error_msg  # its disk was full to the end
+        if lacking:
+            self.lacking.add(result.run_id)
         require(
             lacking or result.error_code != Tune.Result.INTERNAL, f"internal: {result.error_msg}"
         )
