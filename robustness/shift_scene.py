@@ -152,6 +152,7 @@ class Shift:
         self._handle: Any = None
         self._result: Any = None  # future of the active run
         self._number = 0
+        self._before = ""  # id of the run before the one that was asked for last
         self._spin(lambda: self._tune.server_is_ready() and self._go.server_is_ready(), "the tuner")
 
     def close(self) -> None:
@@ -206,7 +207,8 @@ class Shift:
     def _conclude(self, result: Tune.Result) -> None:
         """Check everything that is known of a run that has ended."""
         self._result = self._handle = None
-        if self._model.conclude(result):
+        if self._model.conclude(result):  # it was refused, though not at once
+            self._model.latest = self._before
             return
         self._spin(lambda: self._model.status.state == msg.TunerStatus.IDLE, "an idle tuner")
         self._model.check_idle(result)
@@ -276,6 +278,7 @@ class Shift:
                 return
         self._result, self._handle = result, handle
         self._model.running = True
+        self._before = self._model.latest
         self._recorded.append(goal.run_id)
         self._pass(0.02)
         if self._running:
