@@ -351,7 +351,7 @@ def test_a_bag_that_is_deleted_is_told_of(
     recording.wait_for(texts)
     shutil.rmtree(recording.bag)
     spin_until(lambda: not recording.status.recording, "the recorder to give up")
-    assert recording.status.message == "the bag cannot be written: it was deleted"
+    assert recording.status.message == "the bag cannot be written: No such file or directory"
     assert recording.process.stop() == 0
 
 

@@ -17,6 +17,7 @@ import yaml
 from mobo_tuner.errors import UserError
 from mobo_tuner.files import load_yaml
 from mobo_tuner.offline.campaign import resume, start
+from mobo_tuner.runs.journal import FILE_NAME, read_journal
 from mobo_tuner.runs.recorded_run import RecordedRun
 
 TIMEOUT = 60.0
@@ -72,9 +73,8 @@ class Bench:
         return process.returncode, errors
 
     def journal(self, name: str) -> list[dict[str, Any]]:
-        path = self.folder / name / "journal.jsonl"
-        text = path.read_text() if path.exists() else ""
-        return [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
+        path = self.folder / name
+        return read_journal(path) if (path / FILE_NAME).exists() else []
 
     def evaluations(self, name: str) -> list[dict[str, Any]]:
         return [record for record in self.journal(name) if record["type"] == "evaluation"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import subprocess
 import time
 from collections.abc import Callable
@@ -15,6 +14,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
+
+from mobo_tuner.runs.journal import FILE_NAME, read_journal
 
 ROOT = Path(__file__).resolve().parents[2]
 TIMEOUT = 60.0  # [s] for anything but a whole run
@@ -38,13 +39,7 @@ class Run:
         return self.process.returncode, out, err
 
     def journal(self) -> list[dict[str, Any]]:
-        path = self.folder / "journal.jsonl"
-        if not path.exists():
-            return []
-        lines = path.read_text(encoding="utf-8").splitlines()
-        with contextlib.suppress(ValueError):
-            return [json.loads(line) for line in lines]
-        return [json.loads(line) for line in lines[:-1]]
+        return read_journal(self.folder) if (self.folder / FILE_NAME).exists() else []
 
     def evaluations(self) -> list[dict[str, Any]]:
         return [r for r in self.journal() if r["type"] == "evaluation"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 import uuid
@@ -22,6 +21,7 @@ from std_srvs.srv import Trigger
 
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_tuner.machine.double import Answer, MachineDouble
+from mobo_tuner.runs.journal import read_journal
 from tests.support.processes import TIMEOUT
 
 CONFIG = Path(__file__).parents[2] / "config"
@@ -153,8 +153,7 @@ class Listener:
 
 def journal(tmp_path: Path, run_id: str) -> list[dict[str, Any]]:
     """The records of a run."""
-    text = (tmp_path / "runs" / run_id / "journal.jsonl").read_text(encoding="utf-8")
-    return [json.loads(line) for line in text.splitlines()]
+    return read_journal(tmp_path / "runs" / run_id)
 
 
 def evaluated(tmp_path: Path, run_id: str) -> list[dict[str, Any]]:
