@@ -1,6 +1,6 @@
 """Make the pictures of docs/page.md: real runs, photographed in Debian's Chromium.
 
-`python docs/page_pictures.py [FOLDER]` takes about two minutes.
+`python docs/page_pictures.py [FOLDER]` takes about three minutes.
 """
 
 from __future__ import annotations
@@ -40,6 +40,8 @@ class Picture:
         tab: Title of the tab of the details.
         dialog: Whether the question before a move is shown.
         whole: Whether the whole length of the page is shown.
+        part: Selector of the part of the page that is shown alone; empty for all of it.
+        compared: Runs that are compared in the history before.
     """
 
     name: str
@@ -49,6 +51,8 @@ class Picture:
     tab: str = "All coordinates"
     dialog: bool = False
     whole: bool = False
+    part: str = ""
+    compared: Sequence[str] = ()
 
 
 SCENES: Sequence[tuple[str, Sequence[str], Sequence[Picture]]] = (
@@ -58,6 +62,7 @@ SCENES: Sequence[tuple[str, Sequence[str], Sequence[Picture]]] = (
         (
             Picture("page", 36),
             Picture("page_move", 38, dialog=True),
+            Picture("page_models", 39, tab="Models", part=".details"),
             Picture("page_diagnostics", 40, tab="Diagnostics", whole=True),
             Picture("page_phone", 42, PHONE),
         ),
@@ -70,8 +75,13 @@ SCENES: Sequence[tuple[str, Sequence[str], Sequence[Picture]]] = (
             Picture("page_phone_light", 22, PHONE, "?theme=light"),
         ),
     ),
+    (
+        "toy.yaml",
+        ("--speed", "10", "--seed", "2", "--evaluations", "60"),
+        (Picture("page_history", 30, tab="History", part=".details", compared=("toy-1", "toy-2")),),
+    ),
 )
-SHIPPED = ("page", "page_light", "page_phone")
+SHIPPED = ("page", "page_models", "page_phone", "page_light", "page_history")
 
 
 @contextmanager
@@ -84,7 +94,8 @@ def run(config: str, options: Sequence[str], folder: str) -> Iterator[str]:
         "--config",
         str(ROOT / "config" / config),
     ]
-    command += [*options, "--runs-dir", folder, "--run-id", config.partition(".")[0]]
+    run_id = f"{config.partition('.')[0]}-{options[options.index('--seed') + 1]}"
+    command += [*options, "--runs-dir", folder, "--run-id", run_id]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
     try:
         assert process.stdout is not None
@@ -112,14 +123,22 @@ def take(page: Page, address: str, picture: Picture, folder: Path) -> None:
         if time.monotonic() > deadline:
             raise TimeoutError(f"evaluation {picture.at} did not come")
         page.wait_for_timeout(100)
-    page.get_by_role("tab", name=picture.tab).click()
     page.locator(".point-table tbody tr").nth(3).locator("td").nth(2).click()
+    page.get_by_role("tab", name=picture.tab).click()
+    for run_id in picture.compared:
+        page.get_by_role("checkbox", name=f"run {run_id}", exact=True).click()
+    if picture.compared:
+        page.get_by_role("button", name="Compare").click()
+    if picture.tab == "Models" or picture.compared:
+        page.wait_for_selector(".slice canvas", timeout=TIMEOUT * 1000.0)
     if picture.dialog:
         page.get_by_role("button", name="Go to point…").click()
     page.get_by_text("Chosen is").wait_for()
     page.wait_for_timeout(3000)  # for the plots
     page.evaluate("window.scrollTo(0, 0)")
-    image = Image.open(io.BytesIO(page.screenshot(full_page=picture.whole)))
+    part = page.locator(picture.part or "body")
+    content = part.screenshot() if picture.part else page.screenshot(full_page=picture.whole)
+    image = Image.open(io.BytesIO(content))
     image.quantize(COLOURS).save(folder / f"{picture.name}.png", optimize=True)
 
 
