@@ -115,7 +115,7 @@ def resume(
     return Run(optimizer, np.array(hypervolumes), np.array(asks), np.array(cpu), seconds)
 
 
-PERFECT: dict[str, Any] = {"acquisition": "ucb_hvi", "beta": 0.0}
+PERFECT: dict[str, Any] = {"acquisition": "ucb_hvi", "beta": 0.0, "exploration": 0.0}
 """Settings of the greedy method with perfect knowledge: the largest improvement by the prior means."""
 
 

@@ -2,6 +2,7 @@
 
     python -m experiments.peers                           all problems without noise, 3 seeds, 60 evaluations: a day
     python -m experiments.peers zdt1 --noise 0 0.05       one problem, without and with 5 % noise
+    python -m experiments.peers well_3_3 --seeds 10       a problem on which starts get stuck
     python -m experiments.peers --quick                   check within seconds that the installed methods work
 
 Finished runs are kept in experiments/results/peers; the same command continues where it stopped. Tables are written
@@ -32,7 +33,7 @@ from experiments.campaign import (
 )
 from experiments.paper.experiment import STYLE
 from experiments.peers.methods import METHODS, installed
-from experiments.peers.problems import PROBLEMS
+from experiments.peers.problems import EVERY, PROBLEMS
 from experiments.peers.race import race
 from experiments.peers.report import details, draw, label, summary
 
@@ -51,7 +52,7 @@ def plan(
     limit: float,
 ) -> list[PlannedRun]:
     """Return the runs on a problem, seed by seed."""
-    starts = 2 * len(PROBLEMS[problem]().problem.variables) + 2
+    starts = 2 * len(EVERY[problem]().problem.variables) + 2
     shared = {
         "problem": problem,
         "evaluations": size.number(evaluations, starts + 2),
@@ -72,8 +73,8 @@ def plan(
 
 
 def read(folder: Path) -> dict[str, Results]:
-    """Return the results of all problems that have some, in the order of `PROBLEMS`."""
-    everything = {name: Results(folder / f"{name}.json") for name in PROBLEMS}
+    """Return the results of all problems that have some, in the order of `EVERY`."""
+    everything = {name: Results(folder / f"{name}.json") for name in EVERY}
     return {name: results for name, results in everything.items() if results.runs}
 
 
@@ -111,7 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--limit", type=float, default=1200.0, help="CPU time after which a run is stopped [s]"
     )
-    options = parse_options(parser, arguments, "problems", PROBLEMS)
+    options = parse_options(parser, arguments, "problems", EVERY)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) if options.quick else RESULTS / "peers"
         size = Size(options.quick, options.seeds)

@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.peers.hard import HARD
 from experiments.problems import Benchmark, awa, awa_variant, dtlz2, toy
 from mobo_tuner.core import Problem
 from mobo_tuner.core.pareto import FloatArray
@@ -311,7 +312,10 @@ PROBLEMS: dict[str, Callable[[], Benchmark]] = {
     "dtlz2_5": lambda: dtlz2(5),
     "awa_7": awa,
 }
-"""All problems, those of few objectives first."""
+"""The problems of the comparison, those of few objectives first."""
+
+EVERY = PROBLEMS | HARD
+"""Those of the comparison, and those on which starts get stuck."""
 
 HELD_OUT = (
     "zdt1",
@@ -329,5 +333,6 @@ HELD_OUT = (
 
 They were published by others before this project began, and none of them was run when the choices were made, which is
 why this list was fixed before the first comparison on them. The other problems are the paper's toy, the injector and
-DTLZ2, on which the default strategy was developed. A choice is made on those and measured once here.
+DTLZ2, on which the default strategy was developed, and those of `experiments.peers.hard`. A choice is made on those and
+measured once here.
 """

@@ -13,7 +13,7 @@ import numpy as np
 from experiments.beliefs import output_ranges
 from experiments.campaign import Record, rounded
 from experiments.peers.methods import METHODS, output_names
-from experiments.peers.problems import PROBLEMS
+from experiments.peers.problems import EVERY
 from experiments.problems import Benchmark
 from mobo_tuner.core.hypervolume import BoxDecomposition
 from mobo_tuner.core.initial_design import initial_design
@@ -43,7 +43,7 @@ def race(
         limit: CPU time after which the run is stopped [s].
         batch: Number of set-points that are asked for at once.
     """
-    benchmark = PROBLEMS[problem]()
+    benchmark = EVERY[problem]()
     d = len(benchmark.problem.variables)
     starts = min(2 * d + 2, evaluations)
     x = initial_design("latin_hypercube", starts, benchmark.problem.domain, seed)

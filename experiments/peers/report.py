@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.campaign import Results
+from experiments.peers.hard import HARD
 from experiments.peers.problems import HELD_OUT
 
 TITLES = {
@@ -21,7 +22,13 @@ TITLES = {
     "perfect": ("perfect knowledge", "black"),
 }
 PEERS = ("xopt", "botorch", "nsga2", "random")
+KINDS = ("held-out", "hard", "others")
 LEVEL = 0.005  # of the hypervolume: less is a tie
+
+
+def kind_of(problem: str) -> str:
+    """Return one of `KINDS`: held out, made so that starts get stuck, or another one."""
+    return "held-out" if problem in HELD_OUT else "hard" if problem in HARD else "others"
 
 
 def label(method: str, noise: float) -> str:
@@ -70,7 +77,7 @@ def _ratio(a: float, b: float) -> float:
 
 
 def summary(all_results: Mapping[str, Results], noise: float) -> list[str]:
-    """Return the table of the default strategy against each peer, on held-out and on other problems."""
+    """Return the table of the default strategy against each peer, by the kind of the problems."""
     lines = [
         "| default against | problems | duels | ahead or level after 30, at the end | ahead at the end | "
         "evaluations needed (median ratio) | worst at the end |",
@@ -78,8 +85,8 @@ def summary(all_results: Mapping[str, Results], noise: float) -> list[str]:
     ]
     for peer in PEERS:
         every = duels(all_results, peer, noise)
-        for name, held_out in (("held-out", True), ("others", False)):
-            fought = [duel for duel in every if (duel.problem in HELD_OUT) == held_out]
+        for name in KINDS:
+            fought = [duel for duel in every if kind_of(duel.problem) == name]
             if not fought:
                 continue
             early, late = (np.array([getattr(d, n) for d in fought]) for n in ("early", "late"))
@@ -131,8 +138,12 @@ def details(all_results: Mapping[str, Results], noise: float) -> list[str]:
 
 
 def draw(all_results: Mapping[str, Results], noise: float) -> Figure:
-    """Draw the hypervolume against evaluations of every problem: medians and quartiles."""
-    shown = {n: r for n, r in all_results.items() if any(label(m, noise) in r.runs for m in TITLES)}
+    """Draw the hypervolume against evaluations of every problem but the hard ones: medians and quartiles."""
+    shown = {
+        name: results
+        for name, results in all_results.items()
+        if name not in HARD and any(label(method, noise) in results.runs for method in TITLES)
+    }
     columns = 4
     rows = max(-(-len(shown) // columns), 1)
     figure = Figure(figsize=(12.0, 2.6 * rows + 0.6))

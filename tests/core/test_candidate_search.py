@@ -99,6 +99,34 @@ def test_a_spent_time_budget_still_gives_a_candidate() -> None:
     assert optimizer.last_source == "model"
 
 
+def two_wells(x: Mapping[str, float]) -> dict[str, Any]:
+    """Two objectives that fall outwards, with a narrow well each, one beside the other."""
+    outwards = x["x1"] ** 2 + 0.9 * x["x2"] ** 2
+    wells = [(x["x1"] - a) ** 2 + (x["x2"] - 0.3) ** 2 for a in (-0.1, 0.1)]
+    return {
+        f"f{i + 1}": 4.0 - 0.2 * outwards - 4.0 * math.exp(-w / 0.1) for i, w in enumerate(wells)
+    }
+
+
+def test_what_the_models_do_not_foresee_is_found() -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY), seed=3)
+    tune(optimizer, 60, two_wells)
+    assert optimizer.hypervolume > 14.0  # without the wells it is 3.3
+
+
+def test_while_the_front_stands_still_every_second_evaluation_explores() -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY), seed=0, initial_evaluations=4)
+    tune(optimizer, 4)
+    for _ in range(6):  # nothing that is measured is better
+        optimizer.tell(optimizer.ask(), {"f1": 4.29, "f2": 4.29, "g": 0.0})
+    assert len(optimizer.dataset) == 10
+    known = optimizer.dataset.inputs
+    asked = optimizer.problem.normalize(optimizer.ask())
+    points = np.random.default_rng(1).uniform(-1.0, 1.0, (1000, 2))
+    gaps = [np.linalg.norm(known - point, axis=1).min() for point in (*points, asked)]
+    assert gaps[-1] > np.quantile(gaps, 0.8)
+
+
 def test_proximal_biasing_shortens_the_steps() -> None:
     lengths = []
     for proximal in (None, 4.0):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from mobo_tuner.core.output_scaling import OutputScaling
+from mobo_tuner.core.output_scaling import OutputScaling, has_heavy_tail
 
 
 def test_standardised_residuals_have_no_mean_and_unit_spread():
@@ -93,6 +93,38 @@ def test_expected_improvement_under_a_logarithm(s, q):
     )
     z = (target - mean) / stddev
     assert stddev * (z * norm.cdf(z) + norm.pdf(z)) == pytest.approx(exact, rel=0.3)
+
+
+@pytest.mark.parametrize("mean", [3.0, 5.0, 6.4])
+def test_far_above_what_is_sought_a_low_value_is_as_improbable_as_it_is(mean):
+    low, s = np.log(20.0), 0.7
+    scaling = OutputScaling(True, 0.0, 1.0, low=low)
+    median, stddev = (part[0] for part in scaling.to_output(np.array([mean]), np.array([s])))
+    assert median == pytest.approx(np.exp(mean))
+    depth = max((mean - low) / s, 1.0)  # at least one standard deviation
+    quantile = np.exp(mean - depth * s)
+    assert norm.logcdf((quantile - median) / stddev) == pytest.approx(norm.logcdf(-depth))
+
+
+@pytest.mark.parametrize("low", [-1.0, 0.5, np.inf])
+def test_gradients_of_the_log_normal_are_those_of_its_moments(low):
+    scaling, h = OutputScaling(True, 0.0, 1.0, low=low), 1e-6
+    mean, stddev = np.linspace(-2.0, 3.0, 17), np.linspace(0.1, 2.0, 17)
+    for step in ((h, 0.0), (0.0, h)):
+        slopes = [np.full((17, 1), part / h) for part in step]
+        gradients = scaling.gradients_to_output(mean, stddev, *slopes)
+        above = scaling.to_output(mean + step[0], stddev + step[1])
+        below = scaling.to_output(mean - step[0], stddev - step[1])
+        for gradient, a, b in zip(gradients, above, below, strict=True):
+            np.testing.assert_allclose(gradient[:, 0], (a - b) / (2.0 * h), rtol=1e-6, atol=1e-6)
+
+
+def test_heavy_tails_are_those_of_two_decades_and_more():
+    for decades, heavy in ((1.0, False), (1.7, False), (2.5, True), (4.0, True)):
+        y = 10.0 ** np.linspace(0.0, decades, 21)
+        assert has_heavy_tail(y) == heavy
+        assert not has_heavy_tail(-y)
+    assert not has_heavy_tail(np.full(5, 2.0))
 
 
 def test_log_normal_of_huge_numbers_is_finite():

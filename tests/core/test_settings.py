@@ -208,6 +208,8 @@ def test_presets_differ_only_where_the_paper_says_so() -> None:
         "mean",
         "training",
         "prior",
+        "transform",
+        "exploration",
     }
 
 

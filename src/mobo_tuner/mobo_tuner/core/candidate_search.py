@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from functools import partial, reduce
 from operator import mul
 
@@ -43,6 +44,7 @@ _ALIKE_BUT_FOR_NOISE = 4.0  # the same where readings are noisy
 _PATIENCE = 3  # failures in a row, after which the search goes back to what was valid
 _MOST_HALVINGS = 12
 _HOPELESS = 1e-4  # expected improvement of each objective, as a share of its spread
+_PATIENCE = 3  # evaluations in which the front should move
 _SKILL = 0.5  # least share of their variance that a model must explain to be followed
 
 
@@ -103,6 +105,8 @@ class CandidateSearch:
             found = self._maximum(acquisition, rng, inputs[failed], FAILED_TOLERANCE)
         if found is None:
             return self._explored(rng)
+        if self._should_explore(found):
+            return self._explored(rng, anywhere=not self._archive.belief.feasible.any())
         used = taken(self._data)
         if self._pays(found, used):
             return found
@@ -135,6 +139,31 @@ class CandidateSearch:
             improvement = improvement * ProbabilityOfFeasibility(*limit)
         return float(np.exp(improvement.log_value(x[None])[0]) / volume)
 
+    def _should_explore(self, found: Array) -> bool:
+        """Return whether a point far from all others is worth more than the best candidate ``(d,)``.
+
+        The models may be certain and wrong where nothing was measured, and no reading elsewhere shows it.
+        A point that fills the space finds what they miss with a chance of about `exploration` over the
+        number of evaluations, and may be worth as much as all that was found before: it is chosen if the
+        candidate promises less. It is chosen at every second evaluation, too, while the front does not
+        move: then the models promise too much. With one objective, or weights, the best point is sought
+        to the last digit, and nothing is explored.
+        """
+        chance, n = self._settings.exploration, len(self._data)
+        if (
+            chance == 0.0
+            or len(self._problem.objectives) == 1
+            or self._settings.weights is not None
+        ):
+            return False
+        promised = self.expected_gain(found)  # NaN while nothing is better than the reference point
+        if promised < chance / n:
+            return True
+        last = n - self._archive.expected - _PATIENCE
+        if n % 2 or last < self._archive.initial_evaluations:
+            return False
+        return not (self._archive.belief.front_rows() >= last).any()
+
     def _unconfirmed(self) -> Array | None:
         """Return a point beside a suspected reading that is better than believed, shape ``(d,)``.
 
@@ -146,6 +175,8 @@ class CandidateSearch:
         data, inputs, belief = self._data, self._data.inputs, self._archive.belief
         better = (data.objectives < belief.objectives).any(axis=1)
         better |= data.feasible & ~belief.feasible
+        if not belief.feasible.any():
+            better |= self._nearer_limits()
         for index in sorted({index for index, _ in self._archive.suspected}):
             if not better[index]:
                 continue
@@ -156,6 +187,18 @@ class CandidateSearch:
                 domain = self._problem.domain
                 return beside if domain.is_box else domain.nearest(beside[None])[0]
         return None
+
+    def _nearer_limits(self) -> BoolArray:
+        """Return which evaluations have a suspected reading that lacks less of a constraint than believed ``(n,)``."""
+        nearer = np.zeros(len(self._data), dtype=bool)
+        signs = {o.name: o.sign for o in self._problem.objectives}
+        for name, model, lower, upper in self._models.limited:
+            rows = self._models.suspects(name)
+            if len(rows):
+                readings = self._data.column(name)[rows] * signs.get(name, 1.0)
+                believed = model.predict(self._data.inputs[rows])[0]
+                nearer[rows] |= _lack(readings, lower, upper) < _lack(believed, lower, upper)
+        return nearer
 
     @property
     def _seconds_left(self) -> float | None:
@@ -226,9 +269,15 @@ class CandidateSearch:
             return False
         return self._models.expects_news(x, known[nearest])
 
-    def _explored(self, rng: np.random.Generator) -> Array:
-        """Return a point far from all evaluations that may be feasible and valid, shape ``(d,)``."""
-        factors = self._factors(informed=True)
+    def _explored(self, rng: np.random.Generator, anywhere: bool = False) -> Array:
+        """Return a point far from all evaluations that may be feasible and valid, shape ``(d,)``.
+
+        Args:
+            rng: Random number generator.
+            anywhere: Whether it need not be feasible.
+        """
+        limits = [] if anywhere else [c for c in self._models.constraints if self._is_informed(c)]
+        factors = self._factors(limits)
         weight = reduce(mul, factors).log_value if factors else None
         used = taken(self._data)
         return explore(self._data.inputs, used, rng, weight, self._problem.domain)
@@ -247,7 +296,7 @@ class CandidateSearch:
         """
         known = self._models.known
         limits = self._models.constraints
-        factors = self._factors()
+        factors = self._factors(limits)
         # Without a feasible point there is no front to improve: feasibility comes first.
         if limits and not (known.any() and self._archive.belief.feasible.any()):
             return reduce(mul, factors) if all(map(self._is_informed, limits)) else None
@@ -257,17 +306,11 @@ class CandidateSearch:
             return None
         return reduce(mul, [self._improvement(known, nearest, tails), *factors])
 
-    def _factors(self, informed: bool = False) -> list[AcquisitionFunction]:
-        """Return the factors of the improvement.
-
-        Args:
-            informed: Whether to leave out constraints whose readings do not say where they are met.
-        """
-        factors: list[AcquisitionFunction] = [
-            ProbabilityOfFeasibility(*limit)
-            for limit in self._models.constraints
-            if not informed or self._is_informed(limit)
-        ]
+    def _factors(
+        self, limits: Sequence[tuple[GaussianProcess, float, float]]
+    ) -> list[AcquisitionFunction]:
+        """Return the factors of the improvement: the given constraints, validity, proximal biasing."""
+        factors: list[AcquisitionFunction] = [ProbabilityOfFeasibility(*limit) for limit in limits]
         if self._data.failed.any():
             factors.append(ValidityWeight(self._models.validity))
             factors.extend(self._back_to_valid())
@@ -341,3 +384,8 @@ class CandidateSearch:
         if lack <= 0.0 or most - least > alike * lack:
             return True
         return not model.is_constant and model.skill > _SKILL
+
+
+def _lack(values: Array, lower: float, upper: float) -> Array:
+    """Return by how much values ``(n,)`` miss the limits; 0 where they are met."""
+    return np.maximum(np.maximum(lower - values, values - upper), 0.0)

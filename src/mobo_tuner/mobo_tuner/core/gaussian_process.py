@@ -14,7 +14,7 @@ from mobo_tuner.core.evidence import NoiseEvidence, drift_evidence, noise_eviden
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
 from mobo_tuner.core.kernels import Contextual, Kernel, as_inputs
 from mobo_tuner.core.linear_algebra import FloatArray, single_blas_thread
-from mobo_tuner.core.output_scaling import OutputScaling, is_constant
+from mobo_tuner.core.output_scaling import OutputScaling, has_heavy_tail, is_constant
 from mobo_tuner.core.posterior import Posterior
 from mobo_tuner.core.training import train
 
@@ -444,6 +444,7 @@ class GaussianProcess:
                 "offset": model.scaling.offset,
                 "scale": model.scaling.scale,
                 "factor": model.scaling.factor,
+                "low": model.scaling.low if model.scaling.log else None,
                 "factorised": posterior.factorised,
             }
         return state
@@ -507,6 +508,7 @@ class GaussianProcess:
             mean if by_function else None,
             mean_gradient if by_function else None,
             factor,
+            math.inf if fitted.get("low") is None else float(fitted["low"]),
         )
         model = _Model(fitted["model"], scaling, _hyperparameters(fitted["parameters"], kernel))
         with single_blas_thread():
@@ -574,15 +576,16 @@ class GaussianProcess:
         else:
             offsets = {"constant": float(settings.mean)}
         plain = [(name, OutputScaling.of(x, y, offset=offset)) for name, offset in offsets.items()]
-        if settings.transform == "none" or not (y > 0.0).all():
+        if not (y > 0.0).all() or settings.transform == "none":
             return given + plain
+        if settings.transform == "auto" and not has_heavy_tail(y):
+            return given + plain
+        low = float(np.log(y.min()))
         logs = [
-            (
-                f"{name} log",
-                OutputScaling.of(x, y, offset=None if offset is None else np.log(offset), log=True),
-            )
+            (f"{name} log", OutputScaling.of(x, y, offset=log, log=True, low=low))
             for name, offset in offsets.items()
             if offset is None or offset > 0.0
+            for log in (None if offset is None else np.log(offset),)
         ]
         return logs if logs and settings.transform == "log" else given + plain + logs
 

@@ -95,9 +95,9 @@ class GaussianProcessSettings:
         1000, "Steps of adam in every later training.", minimum=0, maximum=1_000_000
     )
     transform: str = parameter(
-        "none",
+        "auto",
         "Model the logarithm of an output whose values are all positive: never, always, or "
-        "(`auto`) where it predicts left-out evaluations clearly better.",
+        "(`auto`) where some are far larger than most and it predicts left-out evaluations clearly better.",
         choices=("none", "log", "auto"),
     )
 

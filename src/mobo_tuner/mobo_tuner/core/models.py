@@ -79,9 +79,12 @@ class Models:
     def _untrained(self) -> dict[str, GaussianProcess]:
         """Return the process of every output, without observations."""
         process = self._settings.gaussian_process
+        # The probability to exceed a limit comes out too low under a logarithm.
+        plain = replace(process, transform="none") if process.transform == "auto" else process
+        limited = {c.name for c in self._problem.constraints}
         processes = {
             o.name: GaussianProcess(
-                process,
+                plain if o.name in limited else process,
                 # One that is not inferred yet: no model is used before it is.
                 o.sign * o.reference if math.isfinite(o.reference) else 0.0,
                 mean=self._means.mean(o.name),
@@ -91,7 +94,7 @@ class Models:
             for o in self._problem.objectives
         }
         # A constrained diagnostic has no reference point; its mean is that of the data.
-        constrained = replace(process, mean="data") if process.mean == "reference" else process
+        constrained = replace(plain, mean="data") if plain.mean == "reference" else plain
         for name in self._problem.required_diagnostics:
             if name not in processes:
                 processes[name] = GaussianProcess(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,11 +16,23 @@ _GRADIENT_STEP = 1e-5
 _LARGEST_EXPONENT = 600.0
 _SMALLEST_SCALE = 1e-150
 _LARGEST_VARIANCE = 1e100
+_LEAST_DEPTH = 1e-300
+_HEAVY = 10.0
 
 
 def is_constant(y: FloatArray) -> bool:
     """Return whether all outputs `(n,)` are the same, to rounding."""
     return bool(np.ptp(y) <= _ROUNDING * np.abs(y).max())
+
+
+def has_heavy_tail(y: FloatArray) -> bool:
+    """Return whether outputs `(n,)` are positive and so unequal that their logarithm may say more.
+
+    They are if the largest one is far from the median, compared with the least one: by as much as where
+    the logarithms of two decades are evenly spread.
+    """
+    least, median, most = float(y.min()), float(np.median(y)), float(y.max())
+    return least > 0.0 and most - median > _HEAVY * (median - least)
 
 
 @dataclass(frozen=True)
@@ -35,6 +48,7 @@ class OutputScaling:
         mean: Function of the inputs `(n, d) -> (n,)`, if there is one.
         mean_gradient: Gradient of `mean` `(m, d) -> (m, d)`; by default central differences.
         factor: Factor of `mean`.
+        low: Logarithm of a low output, of which `to_output` keeps the probability; infinite for none.
     """
 
     log: bool
@@ -43,6 +57,7 @@ class OutputScaling:
     mean: MeanFunction | None = None
     mean_gradient: MeanFunction | None = None
     factor: float = 1.0
+    low: float = math.inf
 
     @classmethod
     def of(
@@ -55,6 +70,7 @@ class OutputScaling:
         mean: MeanFunction | None = None,
         mean_gradient: MeanFunction | None = None,
         scaled: bool = False,
+        low: float = math.inf,
     ) -> OutputScaling:
         """Return the scaling that suits observations.
 
@@ -70,6 +86,7 @@ class OutputScaling:
             mean: Function whose best offset from the outputs is the prior mean, in place of `offset`.
             mean_gradient: Gradient of `mean`.
             scaled: Whether the best factor of `mean` is taken, too.
+            low: Logarithm of a low output, see the attribute.
         """
         values = np.log(y) if log else y
         factor = 1.0
@@ -82,7 +99,7 @@ class OutputScaling:
             offset = float(np.mean(values - factor * predicted))
         elif offset is None:
             offset = float(np.mean(values))
-        unscaled = cls(log, offset, 1.0, mean, mean_gradient, factor)
+        unscaled = cls(log, offset, 1.0, mean, mean_gradient, factor, low)
         residuals = values - unscaled.prior_mean(x)
         magnitude = max(float(np.abs(values).max()), abs(offset))
         negligible = _ROUNDING * magnitude
@@ -150,18 +167,22 @@ class OutputScaling:
     def to_output(self, mean: FloatArray, stddev: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and standard deviation of y, `(m,)` each, from those of t(y), mu and s.
 
-        Under the logarithm, the Gaussian that shares the log-normal's median and its quantile one
-        standard deviation below: `exp(mu)` and `exp(mu) (1 - exp(-s))`. An acquisition function of
-        a minimised y looks at that side: expected improvements are right to a fifth for
-        s up to 0.6 and targets down to half a standard deviation below the median, where a Gaussian
-        with the log-normal's mean and variance, swollen by its upper tail, is wrong without limit
-        (by a factor of 6 at s = 1, of 3000 at s = 2.5). The probability
-        to exceed a limit comes out too low: do not transform what has an upper limit to keep.
+        Under the logarithm, the Gaussian that shares the log-normal's median and one of its quantiles:
+        that one standard deviation below, `exp(mu)` and `exp(mu) (1 - exp(-s))`, or that at `low` where it
+        is farther below. An acquisition function of a minimised y looks at that side: expected improvements
+        are right to a fifth for s up to 0.6 and targets down to half a standard deviation below the
+        median, where a Gaussian with the log-normal's mean and variance, swollen by its upper tail, is
+        wrong without limit (by a factor of 6 at s = 1, of 3000 at s = 2.5). And where the median is far
+        above what is sought, improvements are as improbable as they are: with the quantile one standard
+        deviation below, a place with a median of 600 and s = 0.7 would promise less than 20 with a
+        probability of 3 % instead of 6e-7. The probability to exceed a limit comes out too low: do not
+        transform what has an upper limit to keep.
         """
         if not self.log:
             return mean, stddev
         median = np.exp(np.minimum(mean, _LARGEST_EXPONENT))
-        return median, -median * np.expm1(-stddev)
+        depth = np.maximum(np.maximum(mean - self.low, stddev), _LEAST_DEPTH)
+        return median, -median * np.expm1(-depth) * (stddev / depth)
 
     def gradients_to_output(
         self,
@@ -174,8 +195,12 @@ class OutputScaling:
         if not self.log:
             return mean_gradient, stddev_gradient
         median, spread = self.to_output(mean, stddev)
-        lower = (median - spread)[:, None]
+        is_deep = mean - self.low > stddev
+        depth = np.maximum(np.maximum(mean - self.low, stddev), _LEAST_DEPTH)
+        lower = median * np.exp(-depth)
+        by_depth = np.where(is_deep, (lower * stddev - spread) / depth, 0.0)
+        by_stddev = np.where(is_deep, spread / stddev, lower)
         return (
             median[:, None] * mean_gradient,
-            spread[:, None] * mean_gradient + lower * stddev_gradient,
+            (spread + by_depth)[:, None] * mean_gradient + by_stddev[:, None] * stddev_gradient,
         )

@@ -84,6 +84,14 @@ class OptimizerSettings(GaussianProcessSettings):
         choices=(COSTS,),
         matrix=True,
     )
+    exploration: float = parameter(
+        0.02,
+        "Chance that there is something as good as all that was found where the models, which may be "
+        "certain and wrong, expect nothing: a point far from all others is measured where a suggestion "
+        "promises less, and while the front does not move. 0 = never.",
+        minimum=0.0,
+        maximum=1.0,
+    )
     trust_distance: float = parameter(
         0.0,
         "First distance, as a share of each variable's range, from what was measured and safe within which "
@@ -195,12 +203,14 @@ PRESETS: dict[str, OptimizerSettings] = {
     "paper": OptimizerSettings(
         initial_evaluations=20,
         acquisition="ucb_hvi",
+        exploration=0.0,
         maximizer="particle_swarm",
         refit_every=10,
         kernel="rbf",
         mean="reference",
         training="adam",
         prior="none",
+        transform="none",
     ),
 }
 
