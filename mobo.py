@@ -18,7 +18,7 @@
     python3 mobo.py campaign     optimise a simulation, many at once, in place of a machine
 
 With an active run, or with a tuner that is running permanently: status, watch, pause, continue, step,
-skip, stop, cancel, queue NAME=NUMBER ..., forget INDEX, unforget INDEX, set NAME=VALUE ...,
+skip, stop, cancel, queue NAME=VALUE ..., forget INDEX, unforget INDEX, set NAME=VALUE ...,
 points, go INDEX, live.
 
 It only needs Python 3.11, 3.12 or 3.13 on Linux and a C and C++ compiler; everything else is installed

@@ -3,9 +3,10 @@
     python examples/foreign_machine.py
     machine_bridge --ros-args -p mapping:=config/bridge_foreign.yaml
 
-Two power supplies take and give arrays (sensor_msgs/JointState, in mA), a camera is fired by a Trigger, and what it
-saw is asked of a slow service (rcl_interfaces/GetParameters). A permit says whether anything may move. The beam is the
-paper's toy problem, so that config/toy.yaml tunes it.
+Two power supplies take and give arrays (sensor_msgs/JointState, in mA), a ladder (std_msgs/String) moves one of its
+targets into the beam, a camera is fired by a Trigger, and what it saw is asked of a slow service
+(rcl_interfaces/GetParameters). A permit says whether anything may move. The beam is the paper's toy problem, so that
+config/toy.yaml tunes it; config/laboratory.yaml also moves the ladder.
 
 The parameter `fault` makes it misbehave: ros2 param set /foreign_machine fault offset
 """
@@ -26,10 +27,11 @@ from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
 SUPPLIES = ("Q1", "Q2")
+TARGETS = {"none": 0.0, "foil": 0.3, "mesh": 0.8}  # what each adds to the beam
 SPEED = 10_000.0  # of a supply's current [mA/s]
 PERIOD = 0.02  # of the supplies' control loop [s]
 EXPOSURE = 0.1  # that the camera takes to tell what it saw [s]
@@ -50,19 +52,22 @@ FAULTS = (
 
 
 class ForeignMachine(Node):
-    """Two supplies, a camera and a permit."""
+    """Two supplies, a ladder, a camera and a permit."""
 
     def __init__(self) -> None:
         """Switch everything on, at 0 mA."""
         super().__init__("foreign_machine")
         self.current = dict.fromkeys(SUPPLIES, 0.0)  # [mA]
         self.target = dict(self.current)
+        self.ladder = "none"
         self.picture: dict[str, float] = {}
         self.fault = "none"
         self.frozen: JointState | None = None
         self.state = self.create_publisher(JointState, "supplies/state", 10)
         self.permit = self.create_publisher(Bool, "permit", 10)
         self.create_subscription(JointState, "supplies/command", self.command, 10)
+        self.ladder_state = self.create_publisher(String, "ladder/state", 10)
+        self.create_subscription(String, "ladder/command", self.move_ladder, 10)
         self.create_timer(PERIOD, self.step)
         self.create_timer(0.1, self.tell_permit)
         group = ReentrantCallbackGroup()  # so that looking keeps nobody from firing
@@ -78,6 +83,11 @@ class ForeignMachine(Node):
             if name in self.target and self.fault != "deaf":
                 self.target[name] = position
 
+    def move_ladder(self, message: String) -> None:
+        """Move another target into the beam."""
+        if message.data in TARGETS and self.fault != "deaf":
+            self.ladder = message.data
+
     def step(self) -> None:
         """Let the currents follow, and tell them."""
         for name, target in self.target.items():
@@ -85,6 +95,7 @@ class ForeignMachine(Node):
             self.current[name] += math.copysign(min(abs(change), SPEED * PERIOD), change)
         if self.fault == "silent":
             return
+        self.ladder_state.publish(String(data=self.ladder))
         message = JointState(name=list(SUPPLIES), position=list(self.current.values()))
         message.header.stamp = self.get_clock().now().to_msg()
         if self.fault == "offset":
@@ -108,7 +119,11 @@ class ForeignMachine(Node):
         response.success = self.fault != "jammed"
         response.message = "" if response.success else "the shutter is jammed"
         x1, x2 = (0.001 * self.current[name] for name in SUPPLIES)
-        self.picture = {"f1": math.hypot(x1 - 1.0, x2 - 1.0), "f2": math.hypot(x1 + 1.0, x2 + 1.0)}
+        more = TARGETS[self.ladder]
+        self.picture = {
+            "f1": math.hypot(x1 - 1.0, x2 - 1.0) + more,
+            "f2": math.hypot(x1 + 1.0, x2 + 1.0) + more,
+        }
         if self.fault == "unlit":
             self.picture = dict.fromkeys(self.picture, math.nan)
         return response

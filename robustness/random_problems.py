@@ -2,9 +2,11 @@
 
     python -m robustness.random_problems --problems 2000
 
-Variables are continuous, on a grid, from a list, logarithmic or fixed, with linear limits between them; objectives
-may be derived by a formula, a constraint may have to be believed safe, and suggestions may have to keep near to what
-was measured. A problem of few set-points must try each before it repeats one.
+Variables are continuous, on a grid, from a list, names without an order, logarithmic, fixed, or around where the
+machine is, with linear limits between them and names as control systems have them; objectives may be derived by a
+formula or have a goal, a constraint may have to be believed safe, suggestions may have to keep near to what was
+measured, and a run may begin with evaluations from elsewhere. A problem of few set-points must try each before it
+repeats one.
 """
 
 from __future__ import annotations
@@ -21,19 +23,24 @@ from hypothesis import strategies as st
 
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.core.safety import DISTANCE, is_guarded, trust_distance, was_safe
+from mobo_tuner.names import topic_token
 
 CHEAP = {"screened": 32, "screened_nearby": 16, "far_starts": 4, "near_starts": 4, "finished": 2}
 CHEAP |= {"steps": 3, "evaluations": 8}
 AFTER_THE_DESIGN = 3  # evaluations
+KINDS = ("continuous", "step", "choices", "names", "log", "log step", "fixed", "around", "present")
 
 _numbers = st.floats(-1e3, 1e3, allow_nan=False).map(lambda value: round(value, 3))
+_words = st.text("abcdefgh- ", min_size=1, max_size=12)
+_names = st.from_regex(r"[A-Z][A-Z0-9_:./+-]{0,30}[0-9]", fullmatch=True)
+_goals = st.floats(0.0, 2.9)
 _widths = st.floats(1e-3, 1e3).map(lambda value: float(f"{value:.4g}"))
 
 
 @st.composite
 def variables(draw: st.DrawFn) -> dict[str, Any]:
     """Draw the definition of a variable."""
-    kind = draw(st.sampled_from(["continuous", "step", "choices", "log", "log step", "fixed"]))
+    kind = draw(st.sampled_from(KINDS))
     low, width = draw(_numbers), draw(_widths)
     if kind.startswith("log"):
         low = abs(low) + 0.01
@@ -45,6 +52,16 @@ def variables(draw: st.DrawFn) -> dict[str, Any]:
         entry["step"] = width / draw(st.sampled_from([1.0, 1.5, 2.0, 3.0, 7.7, 64.0, 1000.0]))
     if kind == "choices":
         return {"choices": draw(st.lists(_numbers, min_size=2, max_size=6, unique=True))}
+    if kind == "names":
+        names = draw(st.lists(_words, min_size=2, max_size=6, unique=True))
+        values = draw(st.lists(_numbers, min_size=len(names), max_size=len(names), unique=True))
+        return {"choices": names, "values": values}
+    if kind == "around":
+        around = draw(st.sampled_from([width, "10 %", "0.5%", "100 %"]))
+        walls = {"min": -2e3} if draw(st.booleans()) else {}
+        return {"around": around, **walls}
+    if kind == "present":
+        return {"fixed": "present", **({"step": width} if draw(st.booleans()) else {})}
     if kind == "fixed":
         return {"fixed": low} if draw(st.booleans()) else entry | {"fixed": low + width / 2}
     return entry
@@ -53,13 +70,22 @@ def variables(draw: st.DrawFn) -> dict[str, Any]:
 @st.composite
 def problems(draw: st.DrawFn) -> Problem:
     """Draw a problem, whose limits leave at least one set-point."""
-    entries = {f"x{i}": draw(variables()) for i in range(draw(st.integers(1, 4)))}
-    objectives = {f"f{i}": {"reference": 3.0} for i in range(draw(st.integers(1, 2)))}
+    names = draw(st.lists(_names, min_size=4, max_size=4, unique_by=topic_token))
+    entries = {name: draw(variables()) for name in names[: draw(st.integers(1, 4))]}
+    objectives: dict[str, dict[str, float]] = {
+        f"f{i}": {"reference": 3.0} | ({"goal": draw(_goals)} if draw(st.booleans()) else {})
+        for i in range(draw(st.integers(1, 2)))
+    }
     free = Problem.from_dict({"variables": entries, "objectives": objectives})
+    # A machine that is somewhere; what depends on it becomes what it is in a run.
+    limits_of_machine = dict.fromkeys(entries, (-3000.0, 3000.0))
+    present = {name: draw(st.one_of(_numbers, st.sampled_from([0.0, 3e3]))) for name in entries}
+    free = free.resolved(present, limits_of_machine)
+    entries = free.to_dict()["variables"]
     limits: dict[str, dict[str, float]] = {}
     places = st.floats(-1.0, 1.0)
     allowed = {v.name: v.denormalize(draw(places)) for v in free.variables}
-    linear = [v for v in free.variables if v.scale == "linear"]
+    linear = [v for v in free.variables if v.scale == "linear" and not v.choice_names]
     for i in range(draw(st.integers(0, 2)) if linear else 0):
         chosen = draw(st.lists(st.sampled_from(linear), min_size=1, max_size=3, unique=True))
         weights = {v.name: draw(st.sampled_from([-2.0, -1.0, 0.3, 1.0])) for v in chosen}
@@ -70,8 +96,10 @@ def problems(draw: st.DrawFn) -> Problem:
             ends["min"] = value - draw(st.floats(1e-3, 0.5)) * extent
         limits[f"sum{i}"] = weights | ends
     mapping: dict[str, Any] = {"variables": entries, "objectives": objectives, "limits": limits}
-    if draw(st.booleans()):
-        formula = f"sqrt(f0 + 1) + {draw(_widths)} * abs(x0) / (1 + abs(x0))"
+    first = free.variables[0]
+    if draw(st.booleans()) and not first.choice_names:
+        x0 = f"`{first.name}`"
+        formula = f"sqrt(f0 + 1) + {draw(_widths)} * abs({x0}) / (1 + abs({x0}))"
         mapping["derived"] = {"q": {"formula": formula}}
         mapping["objectives"] = {**objectives, "q": {"reference": 2e3}}
     if draw(st.booleans()):
@@ -124,16 +152,28 @@ def check_problem(problem: Problem, seed: int, proximal: bool) -> None:
     if is_guarded(problem, optimizer.settings):
         check_guarded(optimizer)
         return
+    if seed % 4 == 1:
+        warm_start(optimizer, seed)
     distinct = len(problem.domain.points()) if problem.domain.size <= 16 else math.inf
     asked: list[tuple[float, ...]] = []
-    for _ in range(4 + AFTER_THE_DESIGN):
+    while len(asked) < 4 + AFTER_THE_DESIGN:
         setpoint = optimizer.ask()
         check(problem, setpoint)
         asked.append(tuple(setpoint.values()))
-        assert len(set(asked)) == min(len(asked), distinct), asked
+        if seed % 4 != 1:  # evaluations from elsewhere are among the set-points that were tried
+            assert len(set(asked)) == min(len(asked), distinct), asked
         optimizer.tell(setpoint, measure(problem, setpoint))
     for point in optimizer.predicted_front(8):
         check(problem, point["setpoint"])
+
+
+def warm_start(optimizer: Optimizer, seed: int) -> None:
+    """Tell evaluations from elsewhere: inside the bounds, but on grids only where there is no order."""
+    problem, rng = optimizer.problem, np.random.default_rng(seed)
+    for x in rng.uniform(-1.0, 1.0, (5, len(problem.variables))):
+        old = {name: float(column[0]) for name, column in problem.columns(x[None]).items()}
+        old |= {v.name: v.choices[0] for v in problem.variables if v.choice_names}
+        optimizer.tell(old, measure(problem, old))
 
 
 def check_guarded(optimizer: Optimizer) -> None:

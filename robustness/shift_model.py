@@ -60,10 +60,12 @@ class Watch:
         self._check(values_of(setpoint))
         return await self._client.apply(setpoint, *others, **more)
 
-    async def send_off(self, setpoint: Sequence[msg.NamedValue], timeout: float) -> Any:
+    async def send_off(
+        self, setpoint: Sequence[msg.NamedValue], timeout: float, limits: Sequence[msg.Limit] = ()
+    ) -> Any:
         """Have the machine go to a set-point by itself."""
         self._check(values_of(setpoint))
-        return await self._client.send_off(setpoint, timeout)
+        return await self._client.send_off(setpoint, timeout, limits)
 
 
 class ShiftModel:

@@ -14,6 +14,7 @@ MODULES = (
     "mobo_tuner.core.hypervolume",
     "mobo_tuner.core.pareto",
     "mobo_tuner.core.problem",
+    "mobo_tuner.names",
 )
 
 

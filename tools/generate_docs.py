@@ -178,7 +178,7 @@ def parameters() -> str:
         "",
         "## Problem",
         "",
-        "Section `/**` of a parameter file. Names of quantities consist of letters, digits and single underscores.",
+        "Section `/**` of a parameter file. Names of quantities consist of letters, digits and _ : . / + -.",
         "Numbers are in the unit of their quantity.",
         "",
         "| parameter | type, default | meaning |",

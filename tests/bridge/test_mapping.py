@@ -115,7 +115,7 @@ def test_conditions_hold_when_equal_or_within_limits() -> None:
         ("variables.x1.slew", math.nan, "variables.x1.slew is nan; it must be a number"),
         ("variables.x1.slew", 10**400, "it must be a number above 0"),
         ("variables.x1.max", -2.0, "variables.x1.max is -2.0; it must be a number above -2"),
-        ("variables.x 1", FOREIGN["variables"]["x1"], "a name must be letters, digits"),
+        ("variables.x 1", FOREIGN["variables"]["x1"], "this name is not valid"),
         ("variables.x1.setpoint.scale", 0.0, "setpoint.scale is 0.0; it must not be 0"),
         ("variables.x1.setpoint.type", "os/system", "it must be like package/msg/Type"),
         ("variables.x1.setpoint.type", "std_srvs/srv/Trigger", "like package/msg/Type"),
@@ -220,3 +220,16 @@ def test_a_mapping_is_relative_to_the_file_that_names_it(tmp_path: Path) -> None
     assert mapping_file("m.yaml", line) == mine.parent / "m.yaml"
     assert mapping_file("m.yaml", [*line, "-p", "mapping:=m.yaml"]) == Path("m.yaml")
     assert mapping_file("m.yaml", []) == Path("m.yaml")
+
+
+def test_a_selector_has_words_in_place_of_numbers() -> None:
+    mapping = load_mapping(CONFIG / "bridge_laboratory.yaml")
+    ladder = mapping.variables["LI20/target.1"]
+    assert (ladder.minimum, ladder.maximum, ladder.words) == (0.0, 2.0, ("none", "foil", "mesh"))
+    assert [ladder.setpoint.raw(value) for value in (0.0, 1.0, 2.0)] == ["none", "foil", "mesh"]
+    assert ladder.readback.value("mesh") == 2.0
+    assert math.isnan(ladder.readback.value("wire"))
+    content = yaml.safe_load((CONFIG / "bridge_laboratory.yaml").read_text())
+    content["variables"]["LI20/target.1"]["words"] = ["none", "none"]
+    with pytest.raises(MappingError, match="at least two different words"):
+        parse_mapping(content, "lab.yaml")

@@ -84,6 +84,17 @@ def test_a_machine_that_cannot_play_the_problem_is_refused(
         problem.check_machine(limits, diagnostics, units)
 
 
+def test_a_machine_takes_for_a_choice_what_the_problem_says() -> None:
+    words = {"K1": {"foil": 1.0, "mesh": 2.0, "none": 0.0}}
+    choices = {"choices": ["none", "mesh"], "values": [0, 2]}
+    problem, limits = open_problem(**choices), LIMITS | {"K1": (0.0, 2.0)}
+    problem.check_machine(limits, DIAGNOSTICS, {}, words)
+    problem.check_machine(limits, DIAGNOSTICS, {})
+    for wrong in ({"choices": ["none", "mesh"]}, {"choices": ["none", "wire"], "values": [0, 2]}):
+        with pytest.raises(ProblemError, match="machine takes foil = 1, mesh = 2, none = 0"):
+            open_problem(**wrong).check_machine(limits, DIAGNOSTICS, {}, words)
+
+
 def open_problem(**entry: Any) -> Problem:
     return Problem.from_dict({**MAPPING, "variables": {**MAPPING["variables"], "K1": entry}})
 

@@ -13,6 +13,7 @@ import yaml
 from mobo_tuner.core.problem import Problem, ProblemError
 from mobo_tuner.errors import FileError
 from mobo_tuner.files import load_yaml
+from mobo_tuner.names import topic_token
 from tests.core.problem_mapping import MAPPING, changed
 
 
@@ -58,8 +59,21 @@ from tests.core.problem_mapping import MAPPING, changed
         ),
         ("variables.K1.cost", -1, "variables.K1.cost is -1"),
         ("variables.K1.unit", 7, "variables.K1.unit must be text"),
-        ("variables.K 1", {"min": 0, "max": 1}, "'K 1' in 'variables' is no name"),
-        ("variables.K__1", {"min": 0, "max": 1}, "'K__1' in 'variables' is no name"),
+        ("variables.K 1", {"min": 0, "max": 1}, "'K 1' in 'variables' is not a valid name"),
+        ("variables.K1:", {"min": 0, "max": 1}, "'K1:' in 'variables' is not a valid name"),
+        ("variables." + "K" * 201, {"min": 0, "max": 1}, "in 'variables' is not a valid name"),
+        ("limits", {"a.b": {"K1": 1.0, "max": 450.0}}, "'a.b' in 'limits' is not a valid name"),
+        ("observables", {"B:X": {}, "B.X": {}}, "'B.X' and 'B:X' would share the topic plot/B_X"),
+        ("variables.K1", {"choices": ["a", "b"], "min": 0}, "K1.min is given, but its choices are"),
+        ("variables.K1", {"choices": ["a", True]}, "K1.choices has names and a truth value"),
+        ("variables.K1", {"choices": ["a", "a"]}, "at least two different names are allowed"),
+        ("variables.K1", {"choices": ["a", "present"]}, "two different names are allowed"),
+        ("variables.K1", {"choices": ["a", "b"], "values": [1, 1]}, "2 different numbers"),
+        ("variables.K1", {"choices": ["a", "b"], "fixed": "c"}, "is 'c'; allowed are a, b"),
+        ("variables.K1.values", [1, 2], "variables.K1.values is given without choices"),
+        ("variables.K1", {"choices": [1, 2], "values": [1, 2]}, "but its choices are numbers"),
+        ("objectives.eps_x", {"reference": 3.0, "goal": 4.0}, "goal is 4, which must be less"),
+        ("objectives.energy.goal", 15.0, "energy has a goal and a truncation box"),
         ("variables.eps_x", {"min": 0, "max": 1}, "'eps_x' is a variable and an objective"),
         ("objectives.energy.reference", ..., "objectives.energy.reference is missing"),
         ("objectives.eps_x.direction", "down", "'minimize' and 'maximize' are allowed"),
@@ -165,3 +179,67 @@ def test_a_limit_is_met_to_rounding() -> None:
     inside = [limit.is_met(problem.denormalize(row)) for row in x]
     assert problem.domain.contains(x).tolist() == inside
     assert 50 < sum(inside) < 450
+
+
+def test_names_are_those_of_the_laboratory() -> None:
+    longest = "P" * 200
+    mapping = {
+        "variables": {"LI20:QUAD:Q1:BCTRL": {"min": 0.0, "max": 1.0}, "18ID:m-1": {"fixed": 2.0}},
+        "objectives": {"beam.sigma/x": {"reference": 3.0}, longest: {}},
+        "derived": {"a.b": {"formula": "`beam.sigma/x` / `LI20:QUAD:Q1:BCTRL` + `18ID:m-1` * pi"}},
+        "constraints": {"a.b": {"max": 9.0}},
+        "limits": {"sum": {"LI20:QUAD:Q1:BCTRL": 1.0, "max": 0.5}},
+    }
+    problem = Problem.from_dict(mapping)
+    assert Problem.from_dict(problem.to_dict()) == problem
+    assert problem.derived[0].names == ("beam.sigma/x", "LI20:QUAD:Q1:BCTRL", "18ID:m-1")
+    where = {"LI20:QUAD:Q1:BCTRL": 0.5, "18ID:m-1": 2.0}
+    derived = problem.derive(where, {"beam.sigma/x": (1.0, 0.1)})
+    assert derived["a.b"].value == pytest.approx(2.0 + 2.0 * math.pi)
+    assert derived["a.b"].stddev == pytest.approx(0.2)
+    assert not problem.limits[0].is_met({**where, "LI20:QUAD:Q1:BCTRL": 0.6})
+    tokens = [topic_token(name) for name in (longest, longest + "x", "K1", "18ID:m-1", "K__1")]
+    assert tokens[2:] == ["K1", "n18ID_m_1", "K_1"]
+    assert len({*tokens}) == 5
+    assert all(len(token) <= 100 for token in tokens)
+
+
+def test_choices_without_an_order_have_names() -> None:
+    variables: dict[str, Any] = {
+        "target": {"choices": ["foil", "mesh", "none"], "values": [3, 1, 2], "fixed": "mesh"},
+        "screen": {"choices": ["in", "out"]},
+    }
+    problem = Problem.from_dict({**MAPPING, "variables": variables})
+    assert Problem.from_dict(problem.to_dict()) == problem
+    target, screen = problem.variables
+    assert target.choices == (1.0, 2.0, 3.0)
+    assert target.choice_names == ("mesh", "none", "foil")
+    assert target.fixed == 1.0
+    assert screen.choices == (0.0, 1.0)
+    assert problem.chosen({"target": 3.0, "screen": 0.0}) == {"target": "foil", "screen": "in"}
+    for section in ("limits", "derived"):
+        entry = {"target": 1.0, "max": 2.0} if section == "limits" else {"formula": "target + 1"}
+        with pytest.raises(ProblemError, match="whose choices are names"):
+            Problem.from_dict({**MAPPING, "variables": variables, section: {"s": entry}})
+
+
+def test_a_goal_is_a_side_of_the_truncation_box() -> None:
+    objectives = {
+        "eps_x": {"reference": 50.0, "goal": 20.0},
+        "energy": {"direction": "maximize", "reference": 10.0, "goal": 16.0},
+        "dE": {"goal": 0.1},
+    }
+    problem = Problem.from_dict({**MAPPING, "objectives": objectives})
+    assert Problem.from_dict(problem.to_dict()) == problem
+    assert [o.truncation for o in problem.objectives] == [
+        (20.0, 50.0),
+        (10.0, 16.0),
+        (0.1, math.inf),
+    ]
+    assert problem.truncation_lower.tolist() == [20.0, -16.0, 0.1]
+    # All readings are better than the goal: the reference is still worse than it.
+    readings = np.array([[30.0, -12.0, 0.02], [25.0, -13.0, 0.04]])
+    every = np.ones(2, dtype=bool)
+    third = problem.with_references(readings, every, every, 2).objectives[2]
+    assert third.truncation == (0.1, third.reference)
+    assert third.reference == pytest.approx(0.102)

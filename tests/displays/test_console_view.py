@@ -68,7 +68,7 @@ def test_the_live_view_shows_figures_of_the_run_and_why_it_waits() -> None:
     progress = RunProgress(60)
     assert "looking" in shown(progress, "looking")
     progress.set_problem(
-        Problem((), (Objective("eps_x", 150.0), Objective("yield", 0.0, "maximize")))
+        Problem((), (Objective("eps_x", 150.0, goal=35.0), Objective("yield", 0.0, "maximize")))
     )
     progress.add(replace(EVALUATION, index=30, objectives={"eps_x": 40.0, "yield": 0.75}))
     progress.add(replace(EVALUATION, index=31))
@@ -82,6 +82,7 @@ def test_the_live_view_shows_figures_of_the_run_and_why_it_waits() -> None:
     assert "about 1:54 left" in text  # 57 evaluations of 2 s
     rows = {line.split()[0]: line for line in text.splitlines() if line.strip()}
     assert rows["eps_x"].split()[-1] == "31"
+    assert "35 ✓" in rows["eps_x"]  # good enough
     assert rows["yield"].split()[-2:] == ["0.75", "30"]
 
 

@@ -50,3 +50,8 @@ def test_no_step_is_too_large(a: float, b: float, c: float, d: float, p: float, 
     assert steps == 1 or math.isclose(
         max(abs(target[n] - start[n]) / largest[n] for n in largest), steps, abs_tol=1.0
     )
+
+
+def test_a_selector_changes_in_the_last_step() -> None:
+    points = interpolate({"a": 0.0, "b": 0.0}, {"a": 1.0, "b": 2.0}, 4, {"b"})
+    assert [point["b"] for point in points] == [0.0, 0.0, 0.0, 2.0]

@@ -122,6 +122,29 @@ def test_apply_setpoint_moves_without_measuring(
     assert position(mover) == k1(stopped.readbacks)
 
 
+def test_a_limit_on_a_sum_is_kept_at_the_set_point_and_on_the_way(
+    start_machine: Callable[..., NodeProcess], client: GoalClient, mover: GoalClient
+) -> None:
+    start_machine(20.0)
+    limit = msg.Limit(
+        name="total", coefficients=point({"K1": 1.0, "K2": 1.0}), min=-math.inf, max=705.0
+    )
+    client.send(goal(MIDDLE, limits=[limit]))
+    assert client.wait().error_code == RESULT.NONE
+    client.send(goal(MIDDLE | {"K1": 476.0}, limits=[limit]))
+    refused = client.wait()
+    assert refused.error_code == RESULT.INVALID_SETPOINT
+    assert "limits.total is 706 at the set-point" in refused.error_msg
+    # Along the limit, the variable that leads away from it moves first, by the faster of the two.
+    along = MIDDLE | {"K1": 495.0, "K2": 210.0}
+    mover.send(ApplySetpoint.Goal(setpoint=point(along), limits=[limit]))
+    arrived = mover.wait()
+    assert (arrived.error_code, k1(arrived.readbacks)) == (RESULT.NONE, 495.0)
+    for feedback in mover.feedback:
+        at = {item.name: item.value for item in feedback.readbacks}
+        assert at["K1"] + at["K2"] <= 705.0 + 1e-6
+
+
 def test_one_shot_beyond_a_critical_limit_ends_the_evaluation(
     start_machine: Callable[..., NodeProcess], client: GoalClient, mover: GoalClient
 ) -> None:

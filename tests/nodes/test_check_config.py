@@ -30,6 +30,7 @@ SHIPPED = {
     "safe.yaml": "awa_sim",
     "context.yaml": "awa_sim",
     "foreign.yaml": "machine_bridge",
+    "laboratory.yaml": "machine_bridge",
     "my_machine.yaml": "",
     "campaign.yaml": "",
 }

@@ -79,6 +79,7 @@ def test_a_run_is_steered(shell: Shell) -> None:
     assert "seed is read when the tuner starts" in shell.refused("set", "seed=3")
     assert "x2" in shell.refused("queue", "x1=0.5")
     assert "x1 is given twice" in shell.refused("queue", "x1=0.5", "x2=0.5", "x1=0.4")
+    assert "'high'" in shell.refused("queue", "x1=high", "x2=0")
     assert "evaluation" in shell("step")
     wait_until(lambda: " of 900 done" in view.stdout, "the step")
     assert "paused: " in view.stdout
@@ -156,7 +157,7 @@ def test_working_points_are_listed_and_gone_to(shell: Shell) -> None:
     ("words", "named"),
     [
         (["queue", "x1"], "'x1'"),
-        (["queue", "x1=high"], "'high'"),
+        (["go", "--weights", "f1=high"], "'high'"),
         (["queue", f"x1=1{'0' * 400}"], "x1"),
         (["go", "-1"], "-1"),
         (["go", "4294967296"], "'4294967296'"),

@@ -158,7 +158,6 @@ def test_a_fixed_variable_is_a_constant() -> None:
     ("changes", "name"),
     [
         ({"variables": {"x": "CONTEXTUAL"}}, "x"),
-        ({"variables": {"x": {"red", "blue"}}}, "x"),
         ({"objectives": {"f": "EXPLORE"}}, "f"),
         ({"objectives": {}}, "objectives"),
     ],
@@ -209,3 +208,15 @@ def test_libensemble_runs_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     told = {(e.setpoint["x"], e.setpoint["y"]) for e in made.optimizer.dataset.evaluations}
     assert told >= {(row["x"], row["y"]) for row in done[:12]}
     assert made.optimizer.hypervolume > 0.4
+
+
+def test_words_of_a_discrete_variable_have_no_order() -> None:
+    vocs = VOCS(variables={"x": [0.0, 1.0], "t": {"a", "b", "c"}}, objectives={"f": "MINIMIZE"})
+    generator = MoboGenerator(vocs, references={"f": 3.0})
+    assert generator.optimizer.problem.variables[1].choice_names == ("a", "b", "c")
+    points = generator.suggest(3)
+    assert {point["t"] for point in points} <= {"a", "b", "c"}
+    for point in points:
+        point["f"] = point["x"] + (point["t"] == "b")
+    generator.ingest(points)
+    assert len(generator.optimizer.dataset) == 3

@@ -135,6 +135,17 @@ def test_what_has_no_value_in_a_file_is_not_given(
         }
 
 
+def test_names_of_a_control_system_are_kept(ros_domain: int, tmp_path: Path) -> None:
+    names = ("beam.sigma/x.1", "LI20:QUAD:Q1:BCTRL", "sys/q-1", "P" * 200)
+    variables = {name: {"min": float(i), "max": 9.0} for i, name in enumerate(names)}
+    limits = {"total": {"beam.sigma/x.1": 1.0, "max": 3.0}}
+    content = {"variables": variables, "limits": limits, "count": 4}
+    file = written(tmp_path / "a.yaml", content)
+    with node_with(ros_domain, "--ros-args", "--params-file", file) as node:
+        given = given_parameters(node)
+    assert given == dict(flat(content))
+
+
 @pytest.mark.parametrize("section", ["tuner", "/tuner", "/**/tuner", "/**"])
 @pytest.mark.parametrize("first", [True, False], ids=["before", "after"])
 def test_the_command_line_wins_over_the_files(

@@ -117,3 +117,14 @@ def test_a_table_that_cannot_be_written_is_one_sentence(
     (folder / "evaluations.csv").mkdir()
     assert main([str(folder)]) == 1
     assert str(folder) in capsys.readouterr().err
+
+
+def test_choices_have_their_names_in_the_table(tmp_path: Path) -> None:
+    problem = {
+        "variables": {"sys/q.1:I": {"choices": ["foil", "mesh", "none"], "values": [3, 1, 2]}},
+        "objectives": {"f1": {"reference": 10.0}},
+    }
+    at = [{"sys/q.1:I": value} for value in (3.0, 2.0)]
+    records = [evaluation(i, {"f1": 5.0}, setpoint=where) for i, where in enumerate(at)]
+    table = read_csv(write_run(tmp_path, records, problem))
+    assert table["sys/q.1:I"].tolist() == ["foil", "none"]

@@ -186,3 +186,22 @@ def test_a_derived_objective_is_computed_of_old_parts() -> None:
     values = [r.diagnostics for r in made.records("d", 0.0, 1)[1:]]  # type: ignore[union-attr]
     assert values[0]["worst"][0] == max(values[0]["f1"][0], values[0]["f2"][0])
     assert math.isnan(values[4]["worst"][0])  # without f1
+
+
+def test_choices_without_an_order_are_taken_by_their_names(tmp_path: Path) -> None:
+    problem = {
+        "variables": {
+            "LI20:Q1": {"min": 0.0, "max": 1.0},
+            "target": {"choices": ["foil", "mesh", "none"], "values": [3, 1, 2]},
+        },
+        "objectives": {"beam.size/x": {"reference": 4.0}},
+    }
+    table = tmp_path / "old.csv"
+    rows = ["LI20:Q1,target,beam.size/x", "0.5,mesh,1.0", "0.6,3,2.0", "0.7,wire,3.0", "0.8,2.5,1"]
+    table.write_text("\n".join(rows))
+    made = started(problem, table)
+    taken = made.taken[0]
+    assert taken.count == 2
+    assert taken.left == {"without a value of 'target'": 1, "at none of the choices of 'target'": 1}
+    records = made.records("old", 1.0, 2)[1:]
+    assert [record.setpoint["target"] for record in records] == [1.0, 3.0]  # type: ignore[union-attr]

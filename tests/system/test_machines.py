@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import signal
@@ -79,7 +80,7 @@ class Lab:
 
 KINDS = {
     "simulator": ("toy.yaml", ("--speed", "1000"), "", "awa_sim_node.node"),
-    "bridge": ("foreign.yaml", (), "foreign_machine.py", "machine_bridge"),
+    "bridge": ("laboratory.yaml", (), "foreign_machine.py", "machine_bridge"),
     "program": ("my_machine.yaml", ("--machine", PROGRAM), "", "my_machine.py"),
     "external": ("my_machine.yaml", (), "my_machine.py", ""),
 }
@@ -180,6 +181,33 @@ def test_a_run_is_killed_and_resumed_with_the_machine_that_it_had(
             *facts["machine"].get("files", []),
         }
     third.assert_nothing_left()
+    if lab.config.name == "laboratory.yaml":
+        assert_names(third)
+
+
+def assert_names(run: Run) -> None:
+    """Check that the files of a run have the names of its control system and of its choices."""
+    targets = {"none", "foil", "mesh"}
+    chosen = [record["chosen"]["LI20/target.1"] for record in run.evaluations()]
+    assert {*chosen} <= targets
+    for record in run.evaluations():
+        assert record["setpoint"]["LI20/target.1"] in (0.0, 1.0, 2.0)
+        x, y = (record["diagnostics"][f"LI20:CAM:1:S{axis}"][0] for axis in "XY")
+        assert record["diagnostics"]["beam.area"][0] == pytest.approx(x * y)
+    topics = (run.folder / "bag" / "metadata.yaml").read_text()
+    assert "/plot/LI20_QUAD_Q1_BCTRL" in topics
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "mobo.py"), "export", str(run.folder)],
+        timeout=TIMEOUT,
+        check=True,
+    )
+    assert done.returncode == 0
+    _, *rows = (run.folder / "evaluations.csv").read_text().splitlines()
+    table = list(csv.DictReader(rows))
+    assert [row["LI20/target.1"] for row in table] == chosen
+    assert all(float(row["LI20:QUAD:Q1:BCTRL"]) for row in table)
+    front = json.loads((run.folder / "summary.json").read_text())["pareto_front"]
+    assert {point["chosen"]["LI20/target.1"] for point in front} <= targets
 
 
 @pytest.mark.parametrize("lab", ["bridge"], indirect=True)
@@ -191,7 +219,7 @@ def test_a_run_in_which_every_evaluation_failed_did_not_go_well(
     status, out, err = run.wait()
     assert status == 1
     assert "all of its 3 evaluations failed" in err
-    assert "f1 could not be measured" in err
+    assert "LI20:CAM:1:SX could not be measured" in err
     assert out.splitlines()[-1] == str(run.folder)
     assert facts_of(run)["state"] == "failed"
     assert json.loads((run.folder / "summary.json").read_text())["failed"] == 3

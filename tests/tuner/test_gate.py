@@ -104,14 +104,17 @@ class Trace:
         setpoint: Sequence[msg.NamedValue],
         on_feedback: FeedbackCallback,
         *_: Future,
+        limits: Sequence[msg.Limit] = (),
         leave: Future | None = None,
     ) -> Answer:
-        del on_feedback, leave
+        del on_feedback, leave, limits
         self.sent.append(values_of(setpoint))
         return Answer(0, "", 0.0)
 
-    async def send_off(self, setpoint: Sequence[msg.NamedValue], timeout: float) -> bool:
-        del timeout
+    async def send_off(
+        self, setpoint: Sequence[msg.NamedValue], timeout: float, limits: Sequence[msg.Limit] = ()
+    ) -> bool:
+        del timeout, limits
         self.sent.append(values_of(setpoint))
         return True
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mobo_tuner.core.problem import Variable
 from mobo_tuner.page import chart_parts, model_charts
 from mobo_tuner.runs.recorded_run import RecordedRun
 from mobo_tuner.runs.report.insight import main
@@ -42,7 +43,8 @@ def test_slices_drivers_and_predictions_are_told_and_drawn(
     for colours in (chart_parts.DARK, chart_parts.LIGHT):
         plots = [model_charts.drivers(outputs, colours)]
         plots += [model_charts.left_out(output, colours) for output in outputs]
-        plots += [model_charts.model_slice(content, v, "A", "f1", colours) for v in slices]
+        variables = [Variable(name, 0.0, 1.0, "A") for name in slices]
+        plots += [model_charts.model_slice(content, v, "f1", colours) for v in variables]
         json.dumps(plots, allow_nan=False)
     assert "%" in model_charts.quality(outputs[0])
 

@@ -76,7 +76,7 @@ class Call:
             return bool(self._action.server_is_ready())
         return bool(self._client.service_is_ready())
 
-    async def __call__(self, wait: Wait, numbers: Mapping[FieldPath, float] = {}) -> Any:
+    async def __call__(self, wait: Wait, numbers: Mapping[FieldPath, float | str] = {}) -> Any:
         """Call with these numbers in the request; return the response or the action's result.
 
         Raises:
@@ -96,7 +96,7 @@ class Call:
                 raise CallError(f"the {self._target} failed: {reason}", answered=True)
         return answer
 
-    def request(self, numbers: Mapping[FieldPath, float]) -> Any:
+    def request(self, numbers: Mapping[FieldPath, float | str]) -> Any:
         """Return the request with these numbers."""
         request = self.request_type()
         fill(request, self._endpoint.message)
@@ -104,7 +104,7 @@ class Call:
             write(request, path, number)
         return request
 
-    def send(self, numbers: Mapping[FieldPath, float]) -> None:
+    def send(self, numbers: Mapping[FieldPath, float | str]) -> None:
         """Call without waiting for the response."""
         if self._is_action:
             self._action.send_goal_async(self.request(numbers))

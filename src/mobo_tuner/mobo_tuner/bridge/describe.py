@@ -41,7 +41,8 @@ def describe_file(path: Path) -> MachineDescription:
     return MachineDescription(
         name=mapping.name,
         variables={
-            v.name: VariableLimits(v.minimum, v.maximum, v.unit) for v in mapping.variables.values()
+            v.name: VariableLimits(v.minimum, v.maximum, v.unit, v.words)
+            for v in mapping.variables.values()
         },
         diagnostics={d.name: d.unit for d in mapping.diagnostics.values()},
         evaluation_seconds=_typical_duration(mapping),

@@ -101,11 +101,11 @@ def read(message: Any, path: FieldPath) -> Any:
     return value
 
 
-def write(message: Any, path: FieldPath, number: float) -> None:
-    """Write a number at a path; arrays grow as needed, and a selected element receives its name.
+def write(message: Any, path: FieldPath, number: float | str) -> None:
+    """Write a number or a word at a path; arrays grow as needed, and a selected element receives its name.
 
     Raises:
-        FieldError: If the path does not lead to a number, or the number does not fit the field.
+        FieldError: If the path does not lead to a number or a text, or the value does not fit the field.
     """
     _leaf(type(message), path)
     _write(message, path.steps, number, path)
@@ -121,7 +121,7 @@ def fill(message: Any, content: Mapping[str, Any]) -> None:
         setattr(message, name, _build(_slot(type(message), name), value, name))
 
 
-def _write(message: Any, steps: Sequence[Step], number: float, path: FieldPath) -> None:
+def _write(message: Any, steps: Sequence[Step], number: float | str, path: FieldPath) -> None:
     field, rest = steps[0], steps[1:]
     assert isinstance(field, Field)
     slot = _slot(type(message), field.name)
@@ -229,8 +229,12 @@ def _blank(slot: Any) -> Any:
     return False if _is_boolean(slot) else 0.0 if slot.typename in _FLOATS else 0
 
 
-def _encode(slot: Any, number: float, path: FieldPath | str) -> Any:
-    """Return a number in the type of a field; numbers for integers are rounded."""
+def _encode(slot: Any, number: float | str, path: FieldPath | str) -> Any:
+    """Return a number or a word in the type of a field; numbers for integers are rounded."""
+    if isinstance(number, str):
+        if not isinstance(slot, AbstractString):
+            raise FieldError(f"{path} is {_describe(slot)}, not a text")
+        return _build(slot, number, str(path))
     if not _is_number(slot):
         raise FieldError(f"{path} is {_describe(slot)}, not a number")
     if not math.isfinite(number):

@@ -15,10 +15,10 @@ from mobo_tuner.bridge.section import MappingError, Section
 from mobo_tuner.files import load_yaml
 from mobo_tuner.machine.averaging import MAX_SHOTS, OutlierRule
 from mobo_tuner.machine.ramp import RampedVariable
+from mobo_tuner.names import ALLOWED, is_name
 
 KINDS = {"topic": "msg", "service": "srv", "action": "action"}
 QOS = ("reliable", "best_effort", "latched")
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _ROS_NAME = re.compile(r"(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/(msg|srv|action)/[A-Z][A-Za-z0-9]*")
 
@@ -59,6 +59,7 @@ class Endpoint:
         timeout: Longest time to a response [s].
         period: Time between two calls of a service that is read continuously [s].
         qos: Quality of service, a key of QOS.
+        words: Words that the machine takes or gives for the values 0, 1, 2, ...; empty = it has numbers.
     """
 
     where: str
@@ -73,17 +74,22 @@ class Endpoint:
     timeout: float = math.inf
     period: float = 0.5
     qos: str = "reliable"
+    words: tuple[str, ...] = ()
 
     def value(self, raw: object) -> float:
         """Return the value of a raw number, boolean or numeric string; NaN if it is none of these."""
+        if self.words:
+            return float(self.words.index(raw)) if raw in self.words else math.nan
         try:
             number = float(raw)  # type: ignore[arg-type]
         except (TypeError, ValueError, OverflowError):
             return math.nan
         return self.scale * number + self.offset
 
-    def raw(self, value: float) -> float:
-        """Return the raw number of a value."""
+    def raw(self, value: float) -> float | str:
+        """Return the raw number of a value, or its word."""
+        if self.words:
+            return self.words[round(value)]
         return (value - self.offset) / self.scale
 
 
@@ -228,21 +234,49 @@ def parse_mapping(content: object, file: str) -> MachineMapping:
 
 def _variable(name: str, section: Section) -> Variable:
     _check_name(name, section)
-    minimum = section.number("min")
+    setpoint = _endpoint(section.section("setpoint"), ("topic", "service", "action"), "send")
+    readback = _endpoint(section.section("readback"), ("topic", "service"), "watch")
+    words = _words(section) if "words" in section else ()
+    if words:  # it has nothing but these words, between which there is nothing
+        largest = float(len(words) - 1)
+        moves = {
+            "minimum": 0.0,
+            "maximum": largest,
+            "max_step": largest,
+            "slew": math.inf,
+            "tolerance": 0.1,
+        }
+    else:
+        minimum = section.number("min")
+        moves = {
+            "minimum": minimum,
+            "maximum": section.number("max", above=minimum),
+            "max_step": section.number("max_step", above=0.0),
+            "slew": section.number("slew", above=0.0),
+            "tolerance": section.number("tolerance", above=0.0),
+        }
     variable = Variable(
         name=name,
         unit=section.text("unit", ""),
-        minimum=minimum,
-        maximum=section.number("max", above=minimum),
-        max_step=section.number("max_step", above=0.0),
-        slew=section.number("slew", above=0.0),
-        tolerance=section.number("tolerance", above=0.0),
-        setpoint=_endpoint(section.section("setpoint"), ("topic", "service", "action"), "send"),
-        readback=_endpoint(section.section("readback"), ("topic", "service"), "watch"),
+        **moves,
+        words=words,
+        setpoint=dataclasses.replace(setpoint, words=words),
+        readback=dataclasses.replace(readback, words=words),
         settled=_condition(section.section("settled")) if "settled" in section else None,
     )
     section.finish()
     return variable
+
+
+def _words(section: Section) -> tuple[str, ...]:
+    words = section.get("words")
+    if (
+        not isinstance(words, list)
+        or not all(isinstance(word, str) for word in words)
+        or len(set(words)) < max(2, len(words))
+    ):
+        raise section.error("words", "it must be a list of at least two different words")
+    return tuple(words)
 
 
 def _diagnostic(name: str, section: Section, shots: int, fired: bool) -> Diagnostic:
@@ -344,5 +378,5 @@ def _path(section: Section, key: str) -> FieldPath:
 
 
 def _check_name(name: str, section: Section) -> None:
-    if not _NAME.fullmatch(name) or "__" in name:
-        raise MappingError(f"{section.where}: a name must be letters, digits and underscores")
+    if not is_name(name):
+        raise MappingError(f"{section.where}: this name is not valid; {ALLOWED}")

@@ -95,7 +95,7 @@ class SetpointOutput:
             stamp.sec, stamp.nanosec = now.sec, now.nanosec
         return message
 
-    def _numbers(self, setpoint: Mapping[str, float]) -> dict[FieldPath, float]:
+    def _numbers(self, setpoint: Mapping[str, float]) -> dict[FieldPath, float | str]:
         return {_path(v.setpoint): v.setpoint.raw(setpoint[v.name]) for v in self._variables}
 
     def _check_agreement(self) -> None:

@@ -9,7 +9,7 @@ from enum import StrEnum
 from typing import Any
 
 from mobo_msgs_py import msg
-from mobo_tuner.core.problem import Constraint, Objective, Observable, Problem, Variable
+from mobo_tuner.core.problem import Constraint, Limit, Objective, Observable, Problem, Variable
 from mobo_tuner.errors import UserError
 from mobo_tuner.parameter_spec import NULL
 from mobo_tuner.ros.conversions import values_of
@@ -310,7 +310,19 @@ def front_of(message: msg.ParetoFront, *, predicted: bool = False) -> Front:
 def problem_of(message: msg.Problem) -> Problem:
     """Return a problem from its message, as the tuner checked it."""
     return Problem(
-        variables=tuple(Variable(v.name, v.min, v.max, v.unit, v.cost) for v in message.variables),
+        variables=tuple(
+            Variable(
+                v.name,
+                v.min,
+                v.max,
+                v.unit,
+                v.cost,
+                step=v.step,
+                choices=tuple(choice.value for choice in v.choices),
+                choice_names=tuple(choice.name for choice in v.choices if choice.name),
+            )
+            for v in message.variables
+        ),
         objectives=tuple(
             Objective(
                 o.name,
@@ -318,6 +330,7 @@ def problem_of(message: msg.Problem) -> Problem:
                 "maximize" if o.direction == msg.Objective.MAXIMIZE else "minimize",
                 o.unit,
                 (o.truncation_min, o.truncation_max) if o.truncated else None,
+                goal=_goal_of(o),
             )
             for o in message.objectives
         ),
@@ -325,7 +338,24 @@ def problem_of(message: msg.Problem) -> Problem:
             Constraint(c.name, c.min, c.max, c.unit, c.critical) for c in message.constraints
         ),
         observables=tuple(Observable(o.name, o.unit) for o in message.observables),
+        limits=tuple(
+            Limit(
+                limit.name,
+                tuple((each.name, each.value) for each in limit.coefficients),
+                limit.min,
+                limit.max,
+            )
+            for limit in message.limits
+        ),
     )
+
+
+def _goal_of(objective: msg.Objective) -> float | None:
+    """Return the goal of an objective, if it has one."""
+    if not objective.has_goal:
+        return None
+    minimised = objective.direction == msg.Objective.MINIMIZE
+    return float(objective.truncation_min if minimised else objective.truncation_max)
 
 
 def named(values: Mapping[str, float | tuple[float, float]], what: str) -> list[msg.NamedValue]:

@@ -316,7 +316,13 @@ class CandidateSearch:
             factors.extend(self._back_to_valid())
         precision = self._settings.proximal_precision(self._problem)
         if precision is not None:
-            factors.append(ProximalBiasing(self._data.inputs[-1], precision))
+            factors.append(
+                ProximalBiasing(
+                    self._data.inputs[-1],
+                    precision,
+                    [bool(v.choice_names) for v in self._problem.variables],
+                )
+            )
         return factors
 
     def _back_to_valid(self) -> list[AcquisitionFunction]:

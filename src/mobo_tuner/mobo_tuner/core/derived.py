@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import ast
 import math
+import re
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
-from mobo_tuner.core.values import LARGEST, ProblemError
+from mobo_tuner.core.values import LARGEST, ProblemError, check_name
 
 LONGEST = 500
 """Largest number of characters of a formula."""
@@ -34,6 +35,8 @@ FUNCTIONS: Mapping[str, Callable[..., float]] = {
 _ARGUMENTS = {"log": (1, 2), "atan2": (2, 2)} | dict.fromkeys(("hypot", "min", "max"), (2, 20))
 CONSTANTS: Mapping[str, float] = {"pi": math.pi}
 """Constants of a formula; a quantity may not be called as one of them."""
+_QUOTED = re.compile(r"`([^`]*)`")
+_STAND_IN = "in_backticks_{}"  # in the parsed formula, for the n-th name in backticks
 _SHARE = 1e-3  # of a standard deviation, the step of a difference quotient
 _OPERATORS = (ast.operator, ast.unaryop, ast.boolop, ast.cmpop, ast.expr_context)
 _NODES = (
@@ -65,7 +68,8 @@ class Derived:
 
     Attributes:
         name: Name.
-        formula: Formula in Python's notation, over the names of diagnostics and variables.
+        formula: Formula in Python's notation, over the names of diagnostics and variables. A name that is not an
+            identifier of Python stands in backticks: "sqrt(`BPM:X` ** 2 + `BPM:Y` ** 2)".
         unit: Unit.
 
     Example:
@@ -101,7 +105,13 @@ class Derived:
             for node in ast.walk(self._tree)
             if isinstance(node, ast.Name) and id(node) not in called and node.id not in CONSTANTS
         ]
-        return tuple(dict.fromkeys(name for *_, name in sorted(used)))
+        return tuple(dict.fromkeys(self._quoted.get(name, name) for *_, name in sorted(used)))
+
+    @cached_property
+    def _quoted(self) -> dict[str, str]:
+        """The names in backticks, by what stands for them in the parsed formula."""
+        names = dict.fromkeys(_QUOTED.findall(self.formula))
+        return {_STAND_IN.format(number): name for number, name in enumerate(names)}
 
     def of(self, readings: Mapping[str, Reading]) -> Result:
         """Return the quantity for readings, each a mean and a standard deviation.
@@ -142,7 +152,8 @@ class Derived:
         """Return the value of the formula, and why it is undefined, empty if it is not."""
         from simpleeval import InvalidExpression, SimpleEval  # only problems with formulas need it
 
-        evaluator = SimpleEval(functions=dict(FUNCTIONS), names={**CONSTANTS, **means})
+        known = {**means, **{i: means[n] for i, n in self._quoted.items() if n in means}}
+        evaluator = SimpleEval(functions=dict(FUNCTIONS), names={**CONSTANTS, **known})
         handlers: Mapping[Any, Callable[[ast.AST], Any]] = evaluator.nodes
         evaluator.nodes = {
             kind: _as_float(handlers[kind]) for kind in _NODES if kind is not ast.Expression
@@ -172,7 +183,7 @@ class Derived:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of the parser, about what is refused below
-                tree = ast.parse(text.strip(), mode="eval")
+                tree = ast.parse(self._plain(text.strip()), mode="eval")
         except (MemoryError, RecursionError, SyntaxError, ValueError):
             raise ProblemError(
                 f"{self._where} is {text!r:.60}, which is not a formula; allowed are numbers, names, "
@@ -180,6 +191,18 @@ class Derived:
             ) from None
         self._check(tree, 0)
         return tree
+
+    def _plain(self, text: str) -> str:
+        """Return the formula with an identifier of Python in place of each name in backticks."""
+        if _STAND_IN.format("") in text:
+            raise ProblemError(
+                f"{self._where} is {text!r:.60}, with a name that begins with {_STAND_IN.format('')}; another "
+                "one is allowed"
+            )
+        stand_ins = {name: identifier for identifier, name in self._quoted.items()}
+        for name in stand_ins:
+            check_name(self._where, name)
+        return _QUOTED.sub(lambda found: f" {stand_ins[found[1]]} ", text).strip()
 
     def _check(self, node: ast.AST, depth: int) -> None:
         """Check that a part of the formula is nothing but arithmetic.

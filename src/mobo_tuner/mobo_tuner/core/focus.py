@@ -90,6 +90,9 @@ def around(
     variables = []
     for v in problem.variables:
         other = others.get(v.name, v)
+        if v.choice_names:  # what has no order has no neighbourhood
+            variables.append(replace(v, fixed=as_float(f"set-point {v.name}", setpoint[v.name])))
+            continue
         low, high = max(v.minimum, other.minimum), min(v.maximum, other.maximum)
         center = as_float(f"set-point {v.name}", setpoint[v.name])
         if not low <= center <= high:

@@ -14,8 +14,9 @@ from mobo_tuner.core.evidence import NoiseEvidence, drift_evidence, noise_eviden
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
 from mobo_tuner.core.kernels import Contextual, Kernel, as_inputs
 from mobo_tuner.core.linear_algebra import FloatArray, single_blas_thread
+from mobo_tuner.core.one_hot import OneHot
 from mobo_tuner.core.output_scaling import OutputScaling, has_heavy_tail, is_constant
-from mobo_tuner.core.posterior import Posterior
+from mobo_tuner.core.posterior import Gradients, Posterior
 from mobo_tuner.core.training import train
 
 __all__ = ["GaussianProcess", "GaussianProcessSettings", "LeaveOneOut", "Prediction"]
@@ -58,12 +59,13 @@ class _Model(NamedTuple):
 
 
 class _State(NamedTuple):
-    """A trained model conditioned on outputs y `(n,)` of known standard deviations `(n,)`."""
+    """A trained model conditioned on outputs y `(n,)` at x `(n, d)`, of known standard deviations `(n,)`."""
 
     model: _Model
     posterior: Posterior
     y: FloatArray
     stddev: FloatArray
+    x: FloatArray
 
 
 class GaussianProcess:
@@ -90,6 +92,7 @@ class GaussianProcess:
             differences.
         contexts: Number of the last inputs that nobody sets, such as time. Predictions at inputs
             without them are for the values in `now`.
+        one_hot: How the kernel sees unordered inputs; None if there are none.
 
     Attributes:
         settings: Settings of the model.
@@ -109,9 +112,11 @@ class GaussianProcess:
         mean: MeanFunction | None = None,
         mean_gradient: MeanFunction | None = None,
         contexts: int = 0,
+        one_hot: OneHot | None = None,
     ) -> None:
         self.settings = settings or GaussianProcessSettings()
         self.contexts = contexts
+        self._one_hot = one_hot
         self.now = np.zeros(contexts)
         if mean is None and mean_gradient is not None:
             raise ValueError("mean_gradient needs a mean function")
@@ -158,9 +163,10 @@ class GaussianProcess:
         Raises:
             ValueError: If an argument has the wrong shape or a value that is not finite.
         """
-        d = None if self._state is None else self._state.posterior.kernel.d
+        d = None if self._state is None else self._d
         inputs, outputs, noise = _checked_data(x, y, stddev, d)
-        kernel = self.settings.make_kernel(inputs.shape[1], self.contexts)
+        seen = self._seen(inputs)
+        kernel = self.settings.make_kernel(seen.shape[1], self.contexts)
         generator = np.random.default_rng(0) if rng is None else rng
         starts = self.settings.restarts if restarts is None else restarts
         part = slice(None, None, -(-len(outputs) // (most_trained or len(outputs))))
@@ -173,7 +179,7 @@ class GaussianProcess:
                     self.settings,
                     kernel,
                     scaling.scale,
-                    inputs[part],
+                    seen[part],
                     scaling.standardise(inputs, outputs)[part],
                     self._known_noise(scaling, outputs, noise)[part],
                     self._trained.get(name),
@@ -214,7 +220,7 @@ class GaussianProcess:
         those of `fit`.
         """
         model, posterior, *_ = self._fitted
-        inputs, outputs, noise = _checked_data(x, y, stddev, posterior.kernel.d)
+        inputs, outputs, noise = _checked_data(x, y, stddev, self._d)
         if model.scaling.log and not (outputs > 0.0).all():
             return self.fit(inputs, outputs, noise, restarts=0)
         with single_blas_thread():
@@ -237,16 +243,17 @@ class GaussianProcess:
         Raises:
             ValueError: If an argument is not finite or has the wrong shape.
         """
-        model, posterior, former, former_noise = self._fitted
+        model, posterior, former, former_noise, former_inputs = self._fitted
         known = None if stddev is None else [stddev]
-        inputs, outputs, noise = _checked_data(np.asarray(x)[None], [y], known, posterior.kernel.d)
+        inputs, outputs, noise = _checked_data(np.asarray(x)[None], [y], known, self._d)
+        all_inputs = np.vstack([former_inputs, inputs])
         all_outputs, all_noise = np.append(former, outputs), np.append(former_noise, noise)
         if model.scaling.log and not y > 0.0:
-            return self.fit(np.vstack([posterior.x, inputs]), all_outputs, all_noise, restarts=0)
+            return self.fit(all_inputs, all_outputs, all_noise, restarts=0)
         with single_blas_thread():
             z = model.scaling.standardise(inputs, outputs)
-            posterior.add(inputs, z, self._noise(model, outputs, noise))
-        self._state = _State(model, posterior, all_outputs, all_noise)
+            posterior.add(self._seen(inputs), z, self._noise(model, outputs, noise))
+        self._state = _State(model, posterior, all_outputs, all_noise, all_inputs)
         return self
 
     # Predictions.
@@ -259,7 +266,7 @@ class GaussianProcess:
         model, posterior, *_ = self._fitted
         inputs = self._whole_inputs(x)
         with single_blas_thread():
-            mean, stddev = posterior.predict(inputs)
+            mean, stddev = posterior.predict(self._seen(inputs))
         return model.scaling.to_output(*model.scaling.unstandardise(inputs, mean, stddev))
 
     def predict_with_gradient(self, x: ArrayLike) -> Prediction:
@@ -268,7 +275,9 @@ class GaussianProcess:
         inputs = self._whole_inputs(x)
         d = np.shape(x)[1]
         with single_blas_thread():
-            mean, stddev, gradients = posterior.predict_with_gradient(inputs)
+            mean, stddev, gradients = posterior.predict_with_gradient(self._seen(inputs))
+        if self._one_hot is not None:
+            gradients = Gradients(*map(self._one_hot.pull_back, gradients))
         # The gradient comes first: most models give their values with it.
         mean_gradient = scaling.prior_mean_gradient(inputs) + scaling.scale * gradients.mean
         mean, stddev = scaling.unstandardise(inputs, mean, stddev)
@@ -279,9 +288,9 @@ class GaussianProcess:
 
     def leave_one_out(self) -> LeaveOneOut:
         """Predict every observation from all others with the same hyperparameters; O(n^2)."""
-        (_, scaling, _), posterior, y, _ = self._fitted
+        (_, scaling, _), posterior, y, _, x = self._fitted
         excess, variance = posterior.leave_one_out()
-        latent = scaling.unstandardise(posterior.x, posterior.z - excess, np.sqrt(variance))
+        latent = scaling.unstandardise(x, posterior.z - excess, np.sqrt(variance))
         mean, stddev = scaling.to_output(*latent)
         log_density = posterior.leave_one_out_log_density
         return LeaveOneOut(mean, stddev, y - mean, log_density + scaling.log_slope(y))
@@ -296,7 +305,7 @@ class GaussianProcess:
         model, posterior, *_ = self._fitted
         inputs = self._whole_inputs(x)
         with single_blas_thread():
-            mean, root = posterior.joint(inputs)
+            mean, root = posterior.joint(self._seen(inputs))
             drawn = model.scaling.prior_mean(inputs) + model.scaling.scale * (
                 mean + normals @ root.T
             )
@@ -304,7 +313,7 @@ class GaussianProcess:
 
     def noise_evidence(self) -> NoiseEvidence:
         """Return the evidence that the readings are noisy, see `evidence.noise_evidence`."""
-        model, posterior, y, stddev = self._fitted
+        model, posterior, y, stddev, _ = self._fitted
         known = self._known_noise(model.scaling, y, stddev)
         with single_blas_thread():
             return noise_evidence(
@@ -318,7 +327,7 @@ class GaussianProcess:
             times: Times of the observations `(n,)`, in the unit of time.
             timed: Whether the last input is time.
         """
-        model, posterior, y, stddev = self._fitted
+        model, posterior, y, stddev, _ = self._fitted
         d, others = posterior.kernel.d - timed, self.contexts - timed
         x = np.column_stack([posterior.x[:, :d], times])
         shape = posterior.shape[:-1] if timed else posterior.shape
@@ -342,6 +351,7 @@ class GaussianProcess:
             mean=self._mean,
             mean_gradient=self._mean_gradient,
             contexts=self.contexts,
+            one_hot=self._one_hot,
         )
         model.now = self.now
         return model
@@ -356,7 +366,7 @@ class GaussianProcess:
     @property
     def log_marginal_likelihood(self) -> float:
         """Log density of the observations in the output's units, without the priors."""
-        (_, scaling, _), posterior, y, _ = self._fitted
+        (_, scaling, _), posterior, y, *_ = self._fitted
         return posterior.log_marginal_likelihood + float(scaling.log_slope(y).sum())
 
     @property
@@ -369,7 +379,8 @@ class GaussianProcess:
         """Precision matrix Lambda `(d, d)` of what is set; length-scales are `1 / sqrt` of its diagonal."""
         factor = self._fitted.posterior.factor
         d = len(factor) - self.contexts
-        return np.asarray(factor @ factor.T)[:d, :d]
+        settable = np.asarray(factor @ factor.T)[:d, :d]
+        return settable if self._one_hot is None else self._one_hot.fold(settable)
 
     @property
     def variance(self) -> float:
@@ -415,8 +426,8 @@ class GaussianProcess:
 
     def noise_at(self, x: FloatArray) -> float:
         """Return the standard deviation of one observation near x `(d,)`: learned, and known at the nearest one."""
-        model, posterior, _, stddev = self._fitted
-        here = self._whole_inputs(x[None])
+        model, posterior, _, stddev, _ = self._fitted
+        here = self._seen(self._whole_inputs(x[None]))
         nearest = int(np.square(posterior.x - here).sum(axis=1).argmin())
         fixed = 0.0 if isinstance(self.settings.noise, str) else self.settings.noise
         learned = 0.0 if model.scaling.log else self.noise
@@ -437,7 +448,7 @@ class GaussianProcess:
         if self._state is not None:
             model, posterior, *_ = self._state
             state["fitted"] = {
-                "d": posterior.kernel.d,
+                "d": self._d,
                 "model": model.name,
                 "parameters": model.parameters.tolist(),
                 "log": model.scaling.log,
@@ -459,6 +470,7 @@ class GaussianProcess:
         *,
         mean: MeanFunction | None = None,
         mean_gradient: MeanFunction | None = None,
+        one_hot: OneHot | None = None,
     ) -> GaussianProcess:
         """Return the model that `get_state` came from, bitwise, given its observations in their order.
 
@@ -469,6 +481,7 @@ class GaussianProcess:
             stddev: Known standard deviations of the outputs, as in `fit`.
             mean: The prior mean function again, if there was one.
             mean_gradient: The gradient of `mean` again, if there was one.
+            one_hot: How the kernel sees unordered inputs, again.
 
         Raises:
             ValueError: If the observations do not suit the state, or a mean function is missing.
@@ -478,18 +491,23 @@ class GaussianProcess:
         settings = GaussianProcessSettings.from_dict(state["settings"])
         contexts = int(state["contexts"])
         restored = cls(
-            settings, state["reference"], mean=mean, mean_gradient=mean_gradient, contexts=contexts
+            settings,
+            state["reference"],
+            mean=mean,
+            mean_gradient=mean_gradient,
+            contexts=contexts,
+            one_hot=one_hot,
         )
         fitted = state["fitted"]
         if fitted is None:
             return restored
         if not fitted["d"] > contexts >= 0:
             raise ValueError(f"the state has {fitted['d']} inputs, of which nobody sets {contexts}")
-        kernel = settings.make_kernel(fitted["d"], contexts)
+        inputs, outputs, noise = _checked_data(x, y, stddev, fitted["d"])
+        kernel = settings.make_kernel(restored._seen(inputs).shape[1], contexts)
         restored._trained = {
             name: _hyperparameters(values, kernel) for name, values in state["trained"].items()
         }
-        inputs, outputs, noise = _checked_data(x, y, stddev, fitted["d"])
         m = fitted["factorised"]
         if len(outputs) < m:
             raise ValueError(
@@ -521,11 +539,20 @@ class GaussianProcess:
 
     def _whole_inputs(self, x: ArrayLike) -> FloatArray:
         """Return the inputs of predictions with the contexts of `now`, if they lack them."""
-        d = self._fitted.posterior.kernel.d
+        d = self._d
         if not self.contexts or np.shape(x)[-1] == d:
             return as_inputs(x, d)
         inputs = as_inputs(x, d - self.contexts)
         return np.column_stack([inputs, np.tile(self.now, (len(inputs), 1))])
+
+    def _seen(self, x: FloatArray) -> FloatArray:
+        """Return inputs as the kernel sees them, with a column for each unordered choice."""
+        return x if self._one_hot is None else self._one_hot.expand(x)
+
+    @property
+    def _d(self) -> int:
+        """Number of inputs, time included."""
+        return int(self._fitted.x.shape[1])
 
     @property
     def _fitted(self) -> _State:
@@ -541,8 +568,8 @@ class GaussianProcess:
         variance = float(np.exp(model.parameters[-2]))
         z = model.scaling.standardise(x, y)
         noise = self._noise(model, y, stddev)
-        posterior = Posterior(kernel, model.parameters[:-2], variance, x, z, noise)
-        return _State(model, posterior, y, stddev)
+        posterior = Posterior(kernel, model.parameters[:-2], variance, self._seen(x), z, noise)
+        return _State(model, posterior, y, stddev, x)
 
     def _noise(self, model: _Model, y: FloatArray, stddev: FloatArray) -> FloatArray:
         """Return the variances `(n,)` of the standardised observations, learned plus known parts."""

@@ -56,6 +56,7 @@ class Models:
         prior_means: Prior | None = None,
     ) -> None:
         self._problem = problem
+        self._one_hot = problem.one_hot
         self._refit_every = settings.refit_every
         self._seconds = (
             math.inf if settings.suggestion_seconds is None else settings.suggestion_seconds
@@ -68,7 +69,7 @@ class Models:
         self._steadiness = Steadiness(settings.noise, settings.drift)
         self._context = ContextInputs.of(Dataset(problem), self.drifts, settings.drift_time)
         self._processes = self._untrained()
-        self.validity = ValidityModel()
+        self.validity = ValidityModel(self._one_hot)
         self._judged = 0  # number of evaluations that the model of validity holds
         self._trained = 0  # number of evaluations with an output at the last training
         self._trained_rows = 0  # number of all evaluations at the last training
@@ -90,6 +91,7 @@ class Models:
                 mean=self._means.mean(o.name),
                 mean_gradient=self._means.gradient(o.name),
                 contexts=self._context.count,
+                one_hot=self._one_hot,
             )
             for o in self._problem.objectives
         }
@@ -102,6 +104,7 @@ class Models:
                     mean=self._means.mean(name),
                     mean_gradient=self._means.gradient(name),
                     contexts=self._context.count,
+                    one_hot=self._one_hot,
                 )
         return processes
 
@@ -189,7 +192,7 @@ class Models:
         if self._held == len(data) and self._trained:
             return self
         other = copy(self)
-        other.validity = ValidityModel()
+        other.validity = ValidityModel(self._one_hot)
         other._processes = {name: p.copy() for name, p in self._processes.items()}
         other._suspects = dict(self._suspects)
         if self._trained and not self.is_surprised(data):
@@ -434,7 +437,7 @@ class Models:
         """Drop what was withdrawn from `data` and learn what was taken back; `update` trains next."""
         if self._judged:
             judged = self._selection.of_failures(data, self._judged)
-            self.validity = ValidityModel()
+            self.validity = ValidityModel(self._one_hot)
             if len(judged):
                 self.validity.fit(data.inputs[judged], ~data.failed[judged])
         for name, process in self._processes.items():
@@ -501,7 +504,7 @@ class Models:
         self._context = ContextInputs.from_state(state["context"], self._problem.context)
         judged = self._selection.of_failures(data, self._judged)
         self.validity = ValidityModel.from_state(
-            state["validity"], data.inputs[judged], ~data.failed[judged]
+            state["validity"], data.inputs[judged], ~data.failed[judged], self._one_hot
         )
         for name in self._processes:
             y, stddev = self._observations(name, data)
@@ -513,6 +516,7 @@ class Models:
                 stddev[rows],
                 mean=self._means.mean(name),
                 mean_gradient=self._means.gradient(name),
+                one_hot=self._one_hot,
             )
             process = self._processes[name]
             if process.n != len(rows) or process.contexts != self._context.count:

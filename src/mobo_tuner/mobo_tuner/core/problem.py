@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from mobo_tuner.core.derived import Derived, Reading, Result
 from mobo_tuner.core.domain import Domain, EmptyDomainError
+from mobo_tuner.core.one_hot import OneHot
 from mobo_tuner.core.problem_definition import (
     SECTIONS,
     Quantities,
@@ -40,6 +41,7 @@ from mobo_tuner.core.values import (
 )
 from mobo_tuner.errors import FileError
 from mobo_tuner.files import load_yaml
+from mobo_tuner.names import topic_token
 
 __all__ = [
     "FARTHEST",
@@ -134,6 +136,7 @@ class Problem:
                     f"'{variable.name}' is a variable and an objective or observable: "
                     "a name can stand for one quantity only"
                 )
+        problem._check_tokens()
         for objective in problem.objectives:
             if problem.largest_reading < abs(objective.reference) < math.inf:
                 raise ProblemError(
@@ -165,6 +168,25 @@ class Problem:
                 self.context,
             )
         )
+
+    def _check_tokens(self) -> None:
+        """Check that every name has a topic of its own."""
+        names = dict.fromkeys(
+            [
+                *(v.name for v in self.variables),
+                *self.required_diagnostics,
+                *(o.name for o in self.observables),
+                *(d.name for d in self.derived),
+            ]
+        )
+        tokens: dict[str, str] = {}
+        for name in names:
+            other = tokens.setdefault(topic_token(name), name)
+            if other != name:
+                raise ProblemError(
+                    f"'{name}' and '{other}' would share the topic plot/{topic_token(name)}; names that differ "
+                    "in more than their separators are allowed"
+                )
 
     @property
     def variable_names(self) -> tuple[str, ...]:
@@ -256,11 +278,13 @@ class Problem:
         else:
             return self
         margin = 0.1 * np.where(worst > best, worst - best, np.maximum(np.abs(worst), 1e-30))
-        inferred = np.minimum(worst + margin, self.largest_reading).tolist()
+        # With a reference better than a goal, nothing could improve.
+        goals = [-math.inf if o.goal is None else o.sign * o.goal for o in self.objectives]
+        inferred = np.minimum(np.maximum(worst, goals) + margin, self.largest_reading).tolist()
         return replace(
             self,
             objectives=tuple(
-                replace(o, reference=o.sign * r) if math.isinf(o.reference) else o
+                o.with_reference(o.sign * r) if math.isinf(o.reference) else o
                 for o, r in zip(self.objectives, inferred, strict=True)
             ),
         )
@@ -269,6 +293,27 @@ class Problem:
     def largest_reading(self) -> float:
         """Largest magnitude of a reading, so that the hypervolume, a product of P of them, is finite."""
         return float(min(LARGEST, 10.0 ** (290.0 / len(self.objectives))))
+
+    def variable(self, name: str) -> Variable | None:
+        """Return the variable of a name; None if there is none."""
+        return self._by_name.get(name)
+
+    def shown(self, name: str, value: float, digits: int = 6) -> str:
+        """Return the value of a quantity as text: the name of a choice that has one, else so many digits."""
+        variable = self._by_name.get(name)
+        return f"{value:.{digits}g}" if variable is None else variable.shown(value, digits)
+
+    def chosen(self, setpoint: Mapping[str, float]) -> dict[str, str]:
+        """Return the names of the choices in a set-point, by their variables."""
+        return {
+            v.name: v.shown(setpoint[v.name])
+            for v in self.variables
+            if v.choice_names and math.isfinite(setpoint.get(v.name, math.nan))
+        }
+
+    @cached_property
+    def _by_name(self) -> dict[str, Variable]:
+        return {v.name: v for v in self.variables}
 
     def is_reading(self, name: str, value: float) -> bool:
         """Return whether a value of a diagnostic was measured: it is finite and not a sentinel."""
@@ -379,6 +424,18 @@ class Problem:
         return Problem.from_dict(replace(self, variables=tuple(resolved)).to_dict())
 
     @cached_property
+    def one_hot(self) -> OneHot | None:
+        """How models see the unordered variables; None if there are none of more than two choices.
+
+        Of two choices, each is as far from the other as with an order.
+        """
+        places = [
+            np.array([v.normalize(c) for c in v.choices]) if len(v.choice_names) > 2 else None
+            for v in self.variables
+        ]
+        return OneHot(places) if any(p is not None for p in places) else None
+
+    @cached_property
     def domain(self) -> Domain:
         """Normalised set-points that may be suggested.
 
@@ -415,6 +472,7 @@ class Problem:
         limits: Mapping[str, tuple[float, float]],
         diagnostics: Mapping[str, str],
         variable_units: Mapping[str, str],
+        words: Mapping[str, Mapping[str, float]] = {},
     ) -> None:
         """Check that a machine suits this problem.
 
@@ -422,6 +480,7 @@ class Problem:
             limits: Hard limits of the machine's variables, by name.
             diagnostics: Units of the machine's diagnostics, by name.
             variable_units: Units of the machine's variables, by name.
+            words: Names of the positions of its selectors with what it takes for them, by variable.
 
         Raises:
             ProblemError: If the machine lacks a variable or a diagnostic, its limits are narrower than
@@ -450,6 +509,7 @@ class Problem:
                 )
         for variable in self.variables:
             _check_unit("variable", variable, variable_units)
+            _check_words(variable, words.get(variable.name, {}))
         derived = {d.name for d in self.derived}
         self._check_formulas(diagnostics)
         for kind, quantities in (
@@ -502,6 +562,17 @@ def _resolved(variable: Variable, present: float, low: float, high: float) -> Va
         maximum=min(variable.maximum, high, present + around),
         around=None,
     )
+
+
+def _check_words(variable: Variable, words: Mapping[str, float]) -> None:
+    """Check that a machine takes for the choices of a variable what the problem says, as far as it has names."""
+    for name, value in zip(variable.choice_names, variable.choices, strict=False):
+        if words and words.get(name) != value:
+            known = ", ".join(f"{word} = {number:g}" for word, number in words.items())
+            raise ProblemError(
+                f"variables.{variable.name} has the choice '{name}' = {value:g}, but the machine takes {known}; set "
+                "choices and values so"
+            )
 
 
 def _check_unit(

@@ -23,13 +23,17 @@ from mobo_tuner.core.values import (
     ProblemError,
     as_number,
     as_string,
+    check_name,
     check_names,
     describe,
+    listed,
 )
 
 _OF_VARIABLES = (
-    *("min", "max", "unit", "cost", "step", "choices", "scale", "fixed", "around", "approach"),
+    *("min", "max", "unit", "cost", "step", "choices", "values", "scale", "fixed", "around"),
+    "approach",
 )
+_OF_NUMBERS = ("min", "max", "step", "scale", "around", "approach")  # not of unordered choices
 SECTIONS = (
     "variables",
     "limits",
@@ -45,7 +49,7 @@ PRESENT = "present"
 """Value of `fixed` for a variable that stays where the machine is at the start of a run."""
 PERCENT = re.compile(r"\s*\d+(\.\d*)?\s*%\s*")
 _FINEST = 1e-12  # least range of a variable, relative to its bounds
-_NAME = re.compile(r"(?!.*__)[A-Za-z][A-Za-z0-9_]*")
+_LIMIT_NAME = re.compile(r"(?!.*__)[A-Za-z][A-Za-z0-9_]{0,99}")
 
 
 class Quantities(NamedTuple):
@@ -114,13 +118,13 @@ def definition_of(quantities: Quantities) -> dict[str, dict[str, dict[str, Any]]
             v.name: {
                 key: bound
                 for key, bound in (("min", v.minimum), ("max", v.maximum))
-                if math.isfinite(bound)
+                if math.isfinite(bound) and not v.choice_names
             }
             | {"unit": v.unit, "cost": v.cost}
             | ({"step": v.step} if v.step else {})
-            | ({"choices": list(v.choices)} if v.choices else {})
+            | _choices_entry(v)
             | ({"scale": v.scale} if v.scale != "linear" else {})
-            | ({"fixed": v.fixed} if v.fixed is not None else {})
+            | ({"fixed": _fixed_entry(v)} if v.fixed is not None else {})
             | ({"fixed": PRESENT} if v.at_present else {})
             | ({"around": v.around} if v.around is not None else {})
             | ({"approach": v.approach} if v.approach else {})
@@ -130,7 +134,8 @@ def definition_of(quantities: Quantities) -> dict[str, dict[str, dict[str, Any]]
             o.name: {"direction": o.direction}
             | ({"reference": o.reference} if math.isfinite(o.reference) else {})
             | {"unit": o.unit}
-            | ({"truncation": list(o.truncation)} if o.truncation else {})
+            | ({"truncation": list(o.truncation)} if o.truncation and o.goal is None else {})
+            | ({"goal": o.goal} if o.goal is not None else {})
             | _invalid_entry(o)
             for o in quantities.objectives
         },
@@ -177,9 +182,10 @@ def _section(parameters: Mapping[str, Any], name: str) -> Mapping[str, Mapping[s
     if not isinstance(section, Mapping):
         raise ProblemError(f"'{name}' must be a mapping of names, not {describe(section)}")
     for key, entry in section.items():
-        if not isinstance(key, str) or not _NAME.fullmatch(key):
+        check_name(f"'{name}'", key)
+        if name == "limits" and not _LIMIT_NAME.fullmatch(key):
             raise ProblemError(
-                f"'{key}' in '{name}' is no name: letters, digits and single underscores are "
+                f"'{key[:60]}' in 'limits' is not a valid name: letters, digits and single underscores are "
                 "allowed, and a letter comes first"
             )
         if entry is not None and not isinstance(entry, Mapping):
@@ -192,13 +198,13 @@ def _variable(name: str, entry: Mapping[str, Any]) -> Variable:
     check_names(where, entry, _OF_VARIABLES)
     scale = _scale(where, entry)
     at_present = entry.get("fixed") == PRESENT
+    choices, names = _choices(where, entry)
     fixed = None
     if entry.get("fixed") is not None and not at_present:
-        fixed = as_number(f"{where}.fixed", entry["fixed"])
+        fixed = choice_value(f"{where}.fixed", entry["fixed"], choices, names)
     around = _around(where, entry)
     if around is not None and entry.get("fixed") is not None:
         raise ProblemError(f"{where} has around and fixed; one of the two is allowed")
-    choices = _choices(where, entry)
     if at_present or around is not None:
         low, high = _walls(where, entry)
     else:
@@ -214,7 +220,19 @@ def _variable(name: str, entry: Mapping[str, Any]) -> Variable:
         raise ProblemError(f"{where} has a step and choices; one of the two is allowed")
     unit = as_string(f"{where}.unit", entry.get("unit", ""))
     variable = Variable(
-        name, low, high, unit, cost, step, choices, scale, fixed, around, at_present, approach
+        name,
+        low,
+        high,
+        unit,
+        cost,
+        step,
+        choices,
+        scale,
+        fixed,
+        around,
+        at_present,
+        approach,
+        names,
     )
     if not variable.is_open and variable.values is not None and not len(variable.values):
         kind = f"multiple of the step {step:g}" if step else "of its choices"
@@ -272,15 +290,96 @@ def _scale(where: str, entry: Mapping[str, Any]) -> Scale:
     raise ProblemError(f"{where}.scale is {scale!r}; 'linear' and 'log' are allowed")
 
 
-def _choices(where: str, entry: Mapping[str, Any]) -> tuple[float, ...]:
-    if entry.get("choices") is None:
-        return ()
-    choices = _numbers(f"{where}.choices", entry["choices"])
+def _choices(where: str, entry: Mapping[str, Any]) -> tuple[tuple[float, ...], tuple[str, ...]]:
+    """Return the choices in ascending order and, if they stand for names without an order, these names."""
+    given = entry.get("choices")
+    if given is None:
+        if entry.get("values") is not None:
+            raise ProblemError(
+                f"{where}.values is given without choices, whose names it would number"
+            )
+        return (), ()
+    if (
+        not isinstance(given, str)
+        and isinstance(given, Sequence)
+        and any(isinstance(c, str) for c in given)
+    ):
+        return _named_choices(where, entry, given)
+    choices = _numbers(f"{where}.choices", given)
+    if entry.get("values") is not None:
+        raise ProblemError(
+            f"{where}.values is given, but its choices are numbers; names are allowed"
+        )
     if len(set(choices)) < 2:
         raise ProblemError(
             f"{where}.choices is {list(choices)}; at least two numbers are allowed, and 'fixed' for one"
         )
-    return tuple(sorted(set(choices)))
+    return tuple(sorted(set(choices))), ()
+
+
+def _named_choices(
+    where: str, entry: Mapping[str, Any], given: Sequence[object]
+) -> tuple[tuple[float, ...], tuple[str, ...]]:
+    """Return what the machine takes for choices that are names, in ascending order, and the names."""
+    names = [name for name in given if isinstance(name, str)]
+    if len(names) < len(given):
+        other = next(c for c in given if not isinstance(c, str))
+        raise ProblemError(
+            f"{where}.choices has names and {describe(other)}; either names or numbers are allowed (names such as "
+            "'on' and 'off' must stand in quotes)"
+        )
+    if len(set(names)) < max(2, len(names)) or PRESENT in names or "" in names:
+        raise ProblemError(
+            f"{where}.choices is {names!r:.60}; at least two different names are allowed, none of them empty or "
+            f"'{PRESENT}'"
+        )
+    for key in _OF_NUMBERS:
+        if entry.get(key) is not None:
+            raise ProblemError(
+                f"{where}.{key} is given, but its choices are names, which have no order"
+            )
+    values: Sequence[float] = range(len(names))
+    if entry.get("values") is not None:
+        values = _numbers(f"{where}.values", entry["values"])
+        if len(set(values)) != len(names) or len(values) != len(names):
+            raise ProblemError(
+                f"{where}.values is {list(values)!r:.60}; {len(names)} different numbers are allowed, one for each of "
+                "its choices"
+            )
+    pairs = sorted(zip(map(float, values), names, strict=True))
+    return tuple(value for value, _ in pairs), tuple(name for _, name in pairs)
+
+
+def choice_value(
+    where: str, given: object, choices: Sequence[float], names: Sequence[str]
+) -> float:
+    """Return a value of a variable, which may be given by the name of a choice.
+
+    Args:
+        where: Name of the value, for the error.
+        given: Number, or name.
+        choices: Numbers that stand for the names.
+        names: Names of the choices; empty if they have none.
+
+    Raises:
+        ProblemError: If it is neither.
+    """
+    if names and isinstance(given, str):
+        if given not in names:
+            raise ProblemError(f"{where} is '{given[:60]}'; allowed are {listed(names)}")
+        return choices[names.index(given)]
+    return as_number(where, given)
+
+
+def _choices_entry(variable: Variable) -> dict[str, list[Any]]:
+    if variable.choice_names:
+        return {"choices": list(variable.choice_names), "values": list(variable.choices)}
+    return {"choices": list(variable.choices)} if variable.choices else {}
+
+
+def _fixed_entry(variable: Variable) -> float | str:
+    assert variable.fixed is not None
+    return variable.shown(variable.fixed) if variable.choice_names else variable.fixed
 
 
 def _step(where: str, entry: Mapping[str, Any], low: float, high: float) -> float:
@@ -334,6 +433,7 @@ def _bounds(
 def _limit(name: str, entry: Mapping[str, Any], variables: Sequence[Variable]) -> Limit:
     where = f"limits.{name}"
     scales = {v.name: v.scale for v in variables}
+    unordered = {v.name for v in variables if v.choice_names}
     check_names(where, entry, (*scales, "min", "max"))
     low, high = _ends(where, entry)
     coefficients = []
@@ -343,6 +443,10 @@ def _limit(name: str, entry: Mapping[str, Any], variables: Sequence[Variable]) -
         if scales[variable] == "log":
             raise ProblemError(
                 f"{where} has {variable}, whose scale is log; only linear ones are allowed"
+            )
+        if variable in unordered:
+            raise ProblemError(
+                f"{where} has {variable}, whose choices are names; only numbers are allowed"
             )
         coefficient = as_number(f"{where}.{variable}", value)
         if coefficient:
@@ -369,6 +473,7 @@ def _check_derived(
 ) -> None:
     """Check that derived quantities depend on none of each other, and that a machine need not know them."""
     names = {d.name for d in derived}
+    unordered = {v.name for v in variables if v.choice_names}
     for quantity in derived:
         where = f"derived.{quantity.name}"
         if quantity.name in CONSTANTS or quantity.name in {v.name for v in variables}:
@@ -376,6 +481,10 @@ def _check_derived(
                 f"{where} is called as a variable or a constant; another name is allowed"
             )
         for name in quantity.names:
+            if name in unordered:
+                raise ProblemError(
+                    f"{where}.formula uses '{name}', whose choices are names; only numbers are allowed"
+                )
             if name in names:
                 raise ProblemError(
                     f"{where}.formula uses '{name}', which is derived itself; write its formula there"
@@ -414,7 +523,7 @@ def _with_units(
 
 def _objective(name: str, entry: Mapping[str, Any]) -> Objective:
     where = f"objectives.{name}"
-    check_names(where, entry, ("direction", "reference", "unit", "truncation", "invalid"))
+    check_names(where, entry, ("direction", "reference", "unit", "truncation", "goal", "invalid"))
     direction = entry.get("direction", "minimize")
     if direction not in ("minimize", "maximize"):
         raise ProblemError(
@@ -434,7 +543,23 @@ def _objective(name: str, entry: Mapping[str, Any]) -> Objective:
                 f"[{truncation[0]:g}, {truncation[1]:g}]"
             )
     unit = as_string(f"{where}.unit", entry.get("unit", ""))
-    return Objective(name, reference, direction, unit, truncation, _invalid(where, entry))
+    objective = Objective(name, reference, direction, unit, truncation, _invalid(where, entry))
+    return _with_goal(where, objective, entry)
+
+
+def _with_goal(where: str, objective: Objective, entry: Mapping[str, Any]) -> Objective:
+    """Return an objective with its goal, if it has one, as the side of its truncation box."""
+    if entry.get("goal") is None:
+        return objective
+    if objective.truncation is not None:
+        raise ProblemError(f"{where} has a goal and a truncation box; one of the two is allowed")
+    goal = as_number(f"{where}.goal", entry["goal"])
+    if not objective.sign * goal < objective.sign * objective.reference:
+        better = "less" if objective.sign > 0.0 else "greater"
+        raise ProblemError(
+            f"{where}.goal is {goal:g}, which must be {better} than its reference of {objective.reference:g}"
+        )
+    return replace(objective, goal=goal).with_reference(objective.reference)
 
 
 def _constraint(name: str, entry: Mapping[str, Any]) -> Constraint:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mobo_tuner.core.acquisition import AcquisitionFunction, Predictions
 from mobo_tuner.core.pareto import FloatArray
 
+_SAME = 1e-6  # largest difference of one choice and itself
+
 
 class ProximalBiasing(AcquisitionFunction):
     """exp(-1/2 (x - x_0)^T Lambda (x - x_0)), `[Roussel2021]_` Eq. (10) (eqn:restricted_acq)."""
 
-    def __init__(self, center: ArrayLike, precision: ArrayLike) -> None:
+    def __init__(
+        self, center: ArrayLike, precision: ArrayLike, unordered: Sequence[bool] = ()
+    ) -> None:
         """Set the current point and the cost of leaving it.
 
         Args:
@@ -20,6 +26,7 @@ class ProximalBiasing(AcquisitionFunction):
             precision: Precision matrix Lambda in normalised space, in which each variable has a
                 range of 2: one number for all variables, the diagonal `(d,)`, or the full matrix
                 `(d, d)`, symmetric and positive semi-definite.
+            unordered: Which variables have no order: any change of one counts as half its range. Empty = none.
 
         Raises:
             ValueError: If a shape is wrong, a value is not finite or Lambda is not positive
@@ -29,6 +36,7 @@ class ProximalBiasing(AcquisitionFunction):
         if self._center.ndim != 1 or not np.isfinite(self._center).all():
             raise ValueError(f"center must be finite and of shape (d,), not {self._center}")
         self._precision = _as_matrix(precision, len(self._center))
+        self._unordered = np.flatnonzero(unordered)
 
     def log_value_from(self, predictions: Predictions) -> FloatArray:
         """Return the logarithm of the factor, `(m,)`."""
@@ -43,8 +51,12 @@ class ProximalBiasing(AcquisitionFunction):
                 f"inputs must have {len(self._center)} columns, not {predictions.inputs.shape[1]}"
             )
         step = predictions.inputs - self._center
+        for j in self._unordered:
+            step[:, j] = np.abs(step[:, j]) > _SAME
         pull = -step @ self._precision
-        return 0.5 * (step * pull).sum(axis=1), pull
+        value = 0.5 * (step * pull).sum(axis=1)
+        pull[:, self._unordered] = 0.0
+        return value, pull
 
 
 def _as_matrix(precision: ArrayLike, n_variables: int) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -38,6 +38,8 @@ class Variable:
         at_present: Whether it is fixed where the machine is at the start of a run.
         approach: Distance from which a working point is approached, from the side from which its
             evaluation was [`unit`]; 0 = from wherever the machine is.
+        choice_names: Names of the choices, in their order, if they stand for names without an order; else
+            empty.
     """
 
     name: str
@@ -52,6 +54,21 @@ class Variable:
     around: float | str | None = None
     at_present: bool = False
     approach: float = 0.0
+    choice_names: tuple[str, ...] = ()
+
+    def shown(self, value: float, digits: int = 6) -> str:
+        """Return a value as text, with so many digits: the name of a choice that has one."""
+        if self.choice_names and self.choices[0] <= value <= self.choices[-1]:
+            return self.choice_names[
+                min(range(len(self.choices)), key=lambda i: abs(self.choices[i] - value))
+            ]
+        return f"{value:.{digits}g}"
+
+    def number(self, value: object) -> object:
+        """Return what stands for the name of a choice; anything else as it is."""
+        if isinstance(value, str) and value in self.choice_names:
+            return self.choices[self.choice_names.index(value)]
+        return value
 
     @property
     def is_open(self) -> bool:
@@ -141,6 +158,8 @@ class Objective:
         direction: Whether it is minimised or maximised.
         unit: Unit.
         truncation: Side ``(A, B)`` of the truncation box [`unit`], or None.
+        goal: Value that is good enough [`unit`], one side of the truncation box, which ends at the reference; None
+            if the box was given as such.
         invalid: Readings that mean that nothing was measured [`unit`].
     """
 
@@ -150,6 +169,16 @@ class Objective:
     unit: str = ""
     truncation: tuple[float, float] | None = None
     invalid: tuple[float, ...] = ()
+    goal: float | None = None
+
+    def with_reference(self, reference: float) -> Objective:
+        """Return the objective with another reference [`unit`]; a goal keeps its truncation box in step."""
+        box = (
+            self.truncation
+            if self.goal is None
+            else (min(self.goal, reference), max(self.goal, reference))
+        )
+        return replace(self, reference=reference, truncation=box)
 
     @property
     def sign(self) -> float:

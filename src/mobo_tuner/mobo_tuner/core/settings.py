@@ -181,7 +181,7 @@ class OptimizerSettings(GaussianProcessSettings):
             )
         d = len(problem.variables)
         try:
-            self.held_shape(self.make_kernel(d))
+            self.held_shape(self.make_kernel(problem.one_hot.width if problem.one_hot else d))
         except ValueError as error:
             raise ProblemError(f"kernel is '{self.kernel}': {error}") from None
         precision = self.proximal_precision(problem)

@@ -48,8 +48,11 @@ def slices(
     for column, variable in enumerate(problem.variables):
         if variable.maximum <= variable.minimum:
             continue
-        x = np.repeat(here[None], points, axis=0)
-        x[:, column] = np.linspace(-1.0, 1.0, points)
+        along = np.linspace(-1.0, 1.0, points)
+        if variable.choice_names and variable.places is not None:  # there is nothing in between
+            along = variable.places
+        x = np.repeat(here[None], len(along), axis=0)
+        x[:, column] = along
         predicted = {name: model.predict(x) for name, model in models.items()}
         found[variable.name] = Slice(
             values=problem.columns(x)[variable.name],

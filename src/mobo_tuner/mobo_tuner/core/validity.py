@@ -24,7 +24,8 @@ from mobo_tuner.core.linear_algebra import (
     inverse_triangle,
     single_blas_thread,
 )
-from mobo_tuner.core.posterior import RELATIVE_JITTER, TriangularPosterior
+from mobo_tuner.core.one_hot import OneHot
+from mobo_tuner.core.posterior import RELATIVE_JITTER, Gradients, TriangularPosterior
 from mobo_tuner.core.training import train_lbfgs
 
 # Whatever the kernel of the models: the priors below are those of its length-scales.
@@ -58,7 +59,8 @@ class ValidityModel:
     there a probability of a few percent is outbid again and again.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, one_hot: OneHot | None = None) -> None:
+        self._one_hot = one_hot
         self._parameters: FloatArray | None = None
         self._trained = 0  # number of evaluations at the last training
         self._posterior: _LaplacePosterior | None = None
@@ -85,7 +87,8 @@ class ValidityModel:
         self._posterior = None
         if outcomes.all():
             return self
-        kernel = _KERNEL(self._d)
+        inputs = self._seen(inputs)
+        kernel = _KERNEL(inputs.shape[1])
         with single_blas_thread():
             if self._parameters is None or len(outcomes) >= _TRAINING_GROWTH * self._trained:
                 likelihood = _LaplaceLikelihood(kernel, inputs, outcomes)
@@ -108,7 +111,7 @@ class ValidityModel:
         if self._posterior is None:
             return np.zeros(len(inputs))
         with single_blas_thread():
-            mean, stddev = self._posterior.predict(inputs)
+            mean, stddev = self._posterior.predict(self._seen(inputs))
         return np.asarray(log_ndtr((self._posterior.offset + mean) / np.hypot(1.0, stddev)))
 
     def predict_log_probability_with_gradient(self, x: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -117,7 +120,9 @@ class ValidityModel:
         if self._posterior is None:
             return np.zeros(len(inputs)), np.zeros_like(inputs)
         with single_blas_thread():
-            mean, stddev, gradients = self._posterior.predict_with_gradient(inputs)
+            mean, stddev, gradients = self._posterior.predict_with_gradient(self._seen(inputs))
+        if self._one_hot is not None:
+            gradients = Gradients(*map(self._one_hot.pull_back, gradients))
         spread = np.hypot(1.0, stddev)
         ratio = (self._posterior.offset + mean) / spread
         ratio_gradient = (
@@ -166,7 +171,11 @@ class ValidityModel:
 
     @classmethod
     def from_state(
-        cls, state: dict[str, Any], x: ArrayLike = (), valid: ArrayLike = ()
+        cls,
+        state: dict[str, Any],
+        x: ArrayLike = (),
+        valid: ArrayLike = (),
+        one_hot: OneHot | None = None,
     ) -> ValidityModel:
         """Return the model that `get_state` came from, bitwise, given the evaluations of its last `fit`.
 
@@ -174,11 +183,12 @@ class ValidityModel:
             state: State from `get_state`, also after a conversion to JSON and back.
             x: Normalised inputs `(n, d)`.
             valid: Whether each evaluation was valid, booleans `(n,)`.
+            one_hot: How the kernel sees unordered inputs, again.
 
         Raises:
             ValueError: If the evaluations do not suit the state.
         """
-        model = cls()
+        model = cls(one_hot)
         if state["d"] is None:
             return model
         inputs, outcomes = _checked_outcomes(x, valid, state["d"])
@@ -190,10 +200,15 @@ class ValidityModel:
         if model._parameters is None:
             raise ValueError("valid must be all true, as in the state's evaluations")
         with single_blas_thread():
+            seen = model._seen(inputs)
             model._posterior = _LaplacePosterior(
-                _KERNEL(state["d"]), model._parameters, inputs, outcomes
+                _KERNEL(seen.shape[1]), model._parameters, seen, outcomes
             )
         return model
+
+    def _seen(self, x: FloatArray) -> FloatArray:
+        """Return inputs as the kernel sees them, with a column for each unordered choice."""
+        return x if self._one_hot is None else self._one_hot.expand(x)
 
     def _checked(self, x: ArrayLike) -> FloatArray:
         if self._d is None:

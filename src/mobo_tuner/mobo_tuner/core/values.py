@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from mobo_tuner.errors import UserError
+from mobo_tuner.names import ALLOWED, is_name
 
 LARGEST = 1e38
 """Largest magnitude of a number in a problem. A reading above it is a sentinel, such as the largest
@@ -88,6 +89,20 @@ def check_names(where: str, entry: Mapping[str, object], allowed: Sequence[str])
     for key in entry:
         if key not in allowed:
             raise ProblemError(f"'{key}' is unknown in {where}; allowed are {listed(allowed)}")
+
+
+def check_name(where: str, name: object) -> None:
+    """Check the name of a quantity.
+
+    Args:
+        where: Place of the name, for the error.
+        name: Name.
+
+    Raises:
+        ProblemError: If it is not one.
+    """
+    if not is_name(name):
+        raise ProblemError(f"'{str(name)[:60]}' in {where} is not a valid name: {ALLOWED}")
 
 
 def describe(value: object) -> str:

@@ -99,9 +99,12 @@ def _variable(variable: Variable) -> tuple[str, str]:
     if values is None:
         bounds = f"{variable.minimum:g} to {variable.maximum:g}"
     elif variable.fixed is not None:
-        bounds = f"fixed at {variable.fixed:g}"
+        bounds = f"fixed at {variable.shown(variable.fixed)}"
     elif variable.choices:
-        bounds = f"one of {', '.join(f'{value:g}' for value in values)}"
+        bounds = f"one of {', '.join(map(variable.shown, values.tolist()))}"
+        if variable.choice_names:
+            numbers = ", ".join(f"{value:g}" for value in values)
+            bounds += f", without an order; the machine takes {numbers} for them"
     else:
         bounds = f"{values[0]:g} to {values[-1]:g}"
     text = _quantity(bounds, variable.unit)
@@ -132,7 +135,9 @@ def _objective(objective: Objective) -> tuple[str, str]:
     if math.isinf(objective.reference):
         reference = "inferred from the first evaluations"
     text = f"{objective.direction}, reference {reference}"
-    if objective.truncation is not None:
+    if objective.goal is not None:
+        text += f", good enough from {_quantity(f'{objective.goal:g}', objective.unit)}"
+    elif objective.truncation is not None:
         low, high = objective.truncation
         text += f", truncated to {_quantity(f'{low:g} to {high:g}', objective.unit)}"
     return objective.name, text

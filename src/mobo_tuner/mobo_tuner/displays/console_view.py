@@ -337,6 +337,9 @@ class _Objectives:
         table.add_column("objective", no_wrap=True)
         table.add_column("last", justify="right", no_wrap=True)
         table.add_column("best", justify="right")
+        goals = progress.goals
+        if goals:
+            table.add_column("good enough", justify="right", style="dim")
         table.add_column("unit", style="dim")
         table.add_column("at", justify="right", style="dim")
         table.add_column("on the front", style="dim", no_wrap=True)
@@ -347,11 +350,20 @@ class _Objectives:
                 name,
                 _value(last, name, with_stddev=options.max_width >= ROOMY),
                 Text("—" if best is None else f"{best[0]:.4g}", "bold green" if newest else "bold"),
+                *([_goal(progress, name)] if goals else []),
                 last.units.get(name, ""),
                 "" if best is None else f"{best[1]}",
                 "" if ends is None else f"{ends[0]:.3g} to {ends[1]:.3g}",
             )
         yield table
+
+
+def _goal(progress: RunProgress, name: str) -> Text:
+    """Return what is good enough for an objective, and whether the best reading is."""
+    goal = progress.goals.get(name)
+    if goal is None:
+        return Text("")
+    return Text(f"{goal:.4g} ✓", "green") if progress.is_reached(name) else Text(f"{goal:.4g}")
 
 
 def _value(evaluation: Evaluation, name: str, *, with_stddev: bool) -> str:

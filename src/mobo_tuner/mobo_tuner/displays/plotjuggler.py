@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from xml.etree import ElementTree
 
 from mobo_tuner.core.problem import Problem
+from mobo_tuner.names import topic_token
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 MAX_PAIRS = 6  # pairs of objectives that are shown
@@ -45,7 +46,7 @@ def _pairs(objectives: int) -> list[tuple[int, int]]:
 
 
 def _plot(name: str) -> str:
-    return f"/plot/{name}/data"
+    return f"/plot/{topic_token(name)}/data"
 
 
 def _tab(

@@ -69,6 +69,22 @@ class RunProgress:
         """Return the best feasible value of an objective and the index of its evaluation."""
         return self._best.get(name)
 
+    @property
+    def goals(self) -> dict[str, float]:
+        """Values that are good enough, by objective; those without one are left out."""
+        objectives = () if self._problem is None else self._problem.objectives
+        return {o.name: o.goal for o in objectives if o.goal is not None}
+
+    def is_reached(self, name: str) -> bool:
+        """Return whether the best feasible value of an objective is good enough."""
+        best = self._best.get(name)
+        objectives = () if self._problem is None else self._problem.objectives
+        return best is not None and any(
+            o.sign * best[0] <= o.sign * o.goal
+            for o in objectives
+            if o.name == name and o.goal is not None
+        )
+
     def front_range(self, name: str) -> tuple[float, float] | None:
         """Return the least and the greatest value of an objective on the front; None without one."""
         return self._ranges.get(name)

@@ -14,7 +14,7 @@ class Setting(NamedTuple):
     Attributes:
         name: Name of the parameter.
         label: Name for people, with the unit.
-        value: Value of now.
+        value: Value of now; NaN = none.
     """
 
     name: str
@@ -23,7 +23,7 @@ class Setting(NamedTuple):
 
 
 def settings_of(problem: Problem, budget: int) -> list[Setting]:
-    """Return the budget, and the bounds, references and limits of a problem.
+    """Return the budget, and the bounds, references, goals and limits of a problem.
 
     Args:
         problem: Problem of now.
@@ -31,6 +31,8 @@ def settings_of(problem: Problem, budget: int) -> list[Setting]:
     """
     settings = [Setting("evaluations", "budget of evaluations", budget)]
     for v in problem.variables:
+        if v.choice_names:  # what has no order has no bounds
+            continue
         name = labelled(v.name, v.unit)
         settings.append(Setting(f"variables.{v.name}.min", f"{name}, lower bound", v.minimum))
         settings.append(Setting(f"variables.{v.name}.max", f"{name}, upper bound", v.maximum))
@@ -39,6 +41,9 @@ def settings_of(problem: Problem, budget: int) -> list[Setting]:
         settings.append(
             Setting(f"objectives.{o.name}.reference", f"{name}, reference", o.reference)
         )
+        if o.goal is not None or o.truncation is None:
+            goal = math.nan if o.goal is None else o.goal
+            settings.append(Setting(f"objectives.{o.name}.goal", f"{name}, good enough", goal))
     for c in problem.constraints:
         for leaf, limit, word in (("min", c.minimum, "least"), ("max", c.maximum, "greatest")):
             if math.isfinite(limit):

@@ -57,11 +57,12 @@ def template(
         "  ros__parameters:",
         "    # What is changed: within the machine's limits, or in a narrower range of yours. Also possible:",
         '    #   around: "10 %" (of its range around the present value, or a number), step: 0.5, choices: [1.0, 2.0],',
-        "    #   scale: log, fixed: 20.0, fixed: present",
+        "    #   choices: [foil, mesh] (names without an order), scale: log, fixed: 20.0, fixed: present",
         "    variables:",
         *_entries({n: _variable(v, around) for n, v in machine.variables.items()}),
         "    # What is wanted. Without a reference (the worst value of interest, e.g. reference: 25.0), it is inferred",
-        "    # from the first evaluations. Better is less with direction: minimize, more with maximize.",
+        "    # from the first evaluations. Better is less with direction: minimize, more with maximize. What is good",
+        "    # enough may be a goal, e.g. goal: 5.0.",
         "    objectives:",
         *_entries({n: _objective(n in maximize, machine.diagnostics[n]) for n in chosen}),
         *_comments(
@@ -97,6 +98,8 @@ def template(
 
 
 def _variable(limits: VariableLimits, around: str) -> dict[str, Any]:
+    if limits.words:
+        return {"choices": list(limits.words), "unit": limits.unit}
     if around:
         return {"around": _number(around), "unit": limits.unit}
     return {"min": limits.minimum, "max": limits.maximum, "unit": limits.unit}
@@ -132,7 +135,7 @@ def _comments(lines: Sequence[str]) -> list[str]:
 
 
 def _example(machine: MachineDescription) -> str:
-    names = list(machine.diagnostics)
+    names = [name if name.isidentifier() else f"`{name}`" for name in machine.diagnostics]
     return " * ".join((names * 2)[:2])
 
 

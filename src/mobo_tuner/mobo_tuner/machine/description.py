@@ -30,11 +30,12 @@ class DescriptionError(UserError):
 
 @dataclass(frozen=True)
 class VariableLimits:
-    """Hard limits of one variable, in `unit`."""
+    """Hard limits of one variable, in `unit`, or the words for its positions 0, 1, 2, ..., if it is a selector."""
 
     minimum: float
     maximum: float
     unit: str = ""
+    words: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ class MachineDescription:
                 "name": self.name,
                 "variables": {
                     name: {"min": v.minimum, "max": v.maximum, "unit": v.unit}
+                    | ({"words": list(v.words)} if v.words else {})
                     for name, v in self.variables.items()
                 },
                 "diagnostics": {name: {"unit": unit} for name, unit in self.diagnostics.items()},
@@ -84,7 +86,10 @@ class MachineDescription:
                 name=str(content["name"]),
                 variables={
                     str(name): VariableLimits(
-                        _finite(item["min"]), _finite(item["max"]), str(item.get("unit", ""))
+                        _finite(item["min"]),
+                        _finite(item["max"]),
+                        str(item.get("unit", "")),
+                        tuple(map(str, item.get("words", ()))),
                     )
                     for name, item in content["variables"].items()
                 },

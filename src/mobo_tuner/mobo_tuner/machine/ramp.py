@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass
 
 _ROUNDING = 1e-9  # a step must not be split for the last bit of a float
@@ -21,6 +21,8 @@ class RampedVariable:
         max_step: Largest change of the set-point in one step.
         slew: Largest speed of the set-point [unit/s].
         tolerance: Largest distance of the readback from the set-point when settled.
+        words: Names of the positions 0, 1, 2, ... of a selector, between which there is nothing: it changes at the
+            end of a ramp. Empty = it is no selector.
     """
 
     name: str
@@ -30,6 +32,7 @@ class RampedVariable:
     max_step: float
     slew: float
     tolerance: float
+    words: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -64,10 +67,23 @@ def count_steps(
 
 
 def interpolate(
-    start: Mapping[str, float], target: Mapping[str, float], steps: int
+    start: Mapping[str, float],
+    target: Mapping[str, float],
+    steps: int,
+    at_the_end: Container[str] = (),
 ) -> Iterator[dict[str, float]]:
-    """Yield the points of a straight ramp, without `start`, ending exactly at `target`."""
+    """Yield the points of a straight ramp, without `start`, ending exactly at `target`.
+
+    Args:
+        start: Where it begins.
+        target: Where it ends.
+        steps: Number of points.
+        at_the_end: Variables that change at the last point only.
+    """
     for step in range(1, steps):
         part = step / steps
-        yield {name: start[name] + part * (target[name] - start[name]) for name in target}
+        yield {
+            name: start[name] + (0.0 if name in at_the_end else part) * (target[name] - start[name])
+            for name in target
+        }
     yield dict(target)

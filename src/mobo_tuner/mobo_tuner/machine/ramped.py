@@ -61,7 +61,15 @@ class RampedBackend(MachineBackend):
         self.name = name
         self.ramped = {variable.name: variable for variable in variables}
         self.variables = [
-            msg.Variable(name=v.name, unit=v.unit, min=v.minimum, max=v.maximum)
+            msg.Variable(
+                name=v.name,
+                unit=v.unit,
+                min=v.minimum,
+                max=v.maximum,
+                choices=[
+                    msg.NamedValue(name=word, value=float(i)) for i, word in enumerate(v.words)
+                ],
+            )
             for v in self.ramped.values()
         ]
         self.diagnostics = [msg.Observable(name=n, unit=unit) for n, unit in diagnostics.items()]
@@ -244,8 +252,9 @@ class RampedBackend(MachineBackend):
         period = 1.0 / self.settings.rate
         start = self._start()
         largest = {n: min(v.max_step, v.slew * period) for n, v in self.ramped.items()}
+        selectors = {n for n, v in self.ramped.items() if v.words}
         steps = count_steps(start, target, largest)
-        for number, point in enumerate(interpolate(start, target, steps), start=1):
+        for number, point in enumerate(interpolate(start, target, steps, selectors), start=1):
             if operation.interrupt.done():
                 return None
             self._setpoint = dict(point)

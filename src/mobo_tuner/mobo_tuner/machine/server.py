@@ -27,6 +27,7 @@ from mobo_tuner.machine.backend import (
 )
 from mobo_tuner.machine.client_watch import ClientWatch, FinishedEvaluations
 from mobo_tuner.machine.goal_checks import check_evaluation, check_setpoint
+from mobo_tuner.machine.limits import SumLimits
 from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.action_server import Goal
 from mobo_tuner.ros.conversions import values_of
@@ -60,6 +61,7 @@ class MachineServer:
         self._operation: Operation | None = None  # what the machine is doing
         self._goal: Goal | None = None  # that the operation serves
         self._stopped: Failure | None = None
+        self._limits = SumLimits((), ())  # of the goal that moved the machine last
         self._watch = ClientWatch()
         self._finished = FinishedEvaluations()
         self.evaluations = self.failures = 0
@@ -141,23 +143,30 @@ class MachineServer:
             setpoint = check_evaluation(
                 request, self._backend.variables, self._backend.diagnostics, self._backend.max_shots
             )
+            limits = SumLimits(request.limits, self._backend.variables)
+            limits.check(setpoint)
         except ValueError as error:
             failure: Failure | None = Failure(_Result.INVALID_SETPOINT, str(error))
         else:
             failure = self._refusal() or self._outdated(request)
             if failure is None:
-                failure = await self._run_evaluation(goal, setpoint, result)
+                failure = await self._run_evaluation(goal, setpoint, limits, result)
         if result.stamp.sec == 0:  # nothing was measured
             result.stamp = self._now()
         result.machine_seconds = time.perf_counter() - started
         return _with_outcome(result, failure)
 
     async def _run_evaluation(
-        self, goal: Goal, setpoint: Mapping[str, float], result: EvaluateSetpoint.Result
+        self,
+        goal: Goal,
+        setpoint: Mapping[str, float],
+        limits: SumLimits,
+        result: EvaluateSetpoint.Result,
     ) -> Failure | None:
         """Move and measure into `result`; after a violation or a lost client, go to a fallback."""
         request = goal.request
         fallback = values_of(request.if_client_lost)
+        self._limits = limits
         self._watch.begin(request.run_id, request.client_timeout, fallback, time.monotonic())
         operation = self._begin(goal, request.critical)
         try:
@@ -202,11 +211,14 @@ class MachineServer:
         """Move to a goal's set-point."""
         try:
             setpoint = check_setpoint(goal.request.setpoint, self._backend.variables)
+            limits = SumLimits(goal.request.limits, self._backend.variables)
+            limits.check(setpoint)
         except ValueError as error:
             return Failure(_Result.INVALID_SETPOINT, str(error))
         failure = self._refusal()
         if failure is not None:
             return failure
+        self._limits = limits
         operation = self._begin(goal)
         try:
             return await self._move(setpoint, operation)
@@ -244,14 +256,32 @@ class MachineServer:
     async def _move(self, setpoint: Mapping[str, float], operation: Operation) -> Failure | None:
         if operation.failure is not None:
             return operation.failure
-        operation.progress(RAMPING, 0.0)
         try:
-            failure = await self._backend.move(setpoint, operation)
-        except Exception as error:  # a faulty backend must not leave the machine moving
-            return self._fault(error)
+            way = self._way(setpoint)
+        except ValueError as error:
+            return Failure(_Result.INVALID_SETPOINT, str(error))
+        failure = None
+        for point in way:
+            operation.progress(RAMPING, 0.0)
+            try:
+                failure = await self._backend.move(point, operation)
+            except Exception as error:  # a faulty backend must not leave the machine moving
+                return self._fault(error)
+            if failure is not None or operation.failure is not None:
+                break
         if failure is not None:
             self._backend.hold()
         return operation.failure or failure
+
+    def _way(self, setpoint: Mapping[str, float]) -> Sequence[Mapping[str, float]]:
+        """Return the set-points that lead to a set-point within the limits of the goal that moved last.
+
+        Raises:
+            ValueError: If there is no such way.
+        """
+        if not self._limits:
+            return [setpoint]
+        return self._limits.way(values_of(self._backend.readbacks()), setpoint)
 
     async def _measure(self, shots: int, operation: Operation) -> Measurement:
         try:

@@ -91,6 +91,11 @@ def check(
             {name: (v.minimum, v.maximum) for name, v in machine.variables.items()},
             machine.diagnostics,
             {name: v.unit for name, v in machine.variables.items()},
+            {
+                name: {word: float(i) for i, word in enumerate(v.words)}
+                for name, v in machine.variables.items()
+                if v.words
+            },
         )
     simulation = str(sections.get("campaign", {}).get("command", ""))
     return Configuration(str(path), problem, tuner, section, machine, program, simulation)

@@ -69,7 +69,10 @@ def ask_machine(timeout: float) -> MachineDescription:
 def _described(answer: DescribeMachine.Response) -> MachineDescription:
     return MachineDescription(
         name=answer.name,
-        variables={v.name: VariableLimits(v.min, v.max, v.unit) for v in answer.variables},
+        variables={
+            v.name: VariableLimits(v.min, v.max, v.unit, tuple(c.name for c in v.choices))
+            for v in answer.variables
+        },
         diagnostics={d.name: d.unit for d in answer.diagnostics},
     )
 

@@ -107,7 +107,7 @@ def stop(client: TunerClient, _: argparse.Namespace) -> str:
 
 def queue(client: TunerClient, options: argparse.Namespace) -> str:
     """Evaluate a set-point of your own next."""
-    return f"set-points in the queue: {client.queue(_once(options.values))}"
+    return f"set-points in the queue: {client.queue(_numbers(client, _once(options.values)))}"
 
 
 def forget(client: TunerClient, options: argparse.Namespace) -> str:
@@ -135,7 +135,7 @@ def points(client: TunerClient, options: argparse.Namespace) -> str:
         fronts.append(("predicted", found.predicted))
     if options.sort and options.near:
         raise TunerError(ErrorCode.INVALID_VALUE, "give either --sort or --near")
-    near = _once(options.near or ())
+    near = _numbers(client, _once(options.near or ()))
     descending = bool(options.sort) and _is_maximized(client, options.sort)
     tables = []
     for title, front in fronts:
@@ -146,7 +146,8 @@ def points(client: TunerClient, options: argparse.Namespace) -> str:
             listed = _nearest(listed, near)
         elif options.sort:
             listed.sort(key=lambda point: _values(point)[options.sort], reverse=descending)
-        tables.append(_table(front, listed, title, names, options.top))
+        shown = {name: _choices(client, name) for name in names}
+        tables.append(_table(front, listed, title, shown, options.top))
     return "\n\n".join(tables)
 
 
@@ -169,7 +170,7 @@ def go(client: TunerClient, options: argparse.Namespace) -> str:
         on_feedback=show,
     )
     where = ", ".join(
-        f"{name} = {value:.6g} {arrival.units.get(name, '')}".rstrip()
+        f"{name} = {_shown(value, _choices(client, name))} {arrival.units.get(name, '')}".rstrip()
         for name, value in arrival.readbacks.items()
     )
     held = f", held with {arrival.evaluations} evaluations" if options.hold else ""
@@ -212,7 +213,7 @@ def make_parser() -> argparse.ArgumentParser:
         )
         parsers[name] = verb
     for name, kind, metavar in (
-        ("queue", _named_number, "NAME=NUMBER"),
+        ("queue", _named_number_or_choice, "NAME=VALUE"),
         ("set", _named_value, "NAME=VALUE"),
     ):
         parsers[name].add_argument("values", nargs="+", type=kind, metavar=metavar)
@@ -237,8 +238,8 @@ def make_parser() -> argparse.ArgumentParser:
     parsers["points"].add_argument(
         "--near",
         nargs="+",
-        type=_named_number,
-        metavar="NAME=NUMBER",
+        type=_named_number_or_choice,
+        metavar="NAME=VALUE",
         help="list the points nearest to these variables and objectives first",
     )
     parsers["points"].add_argument(
@@ -388,6 +389,48 @@ def _values(point: Point) -> dict[str, float]:
     return {**point.setpoint, **point.objectives}
 
 
+def _choices(client: TunerClient, name: str) -> dict[str, float]:
+    """Return the names of a variable's choices with what stands for them; empty if they have none."""
+    found = []
+    for leaf in ("choices", "values"):
+        try:
+            found.append(client.get(f"variables.{name}.{leaf}"))
+        except TunerError as error:
+            if error.code != ErrorCode.REFUSED:
+                raise
+            found.append(None)
+    names, values = found
+    if not names or not isinstance(names[0], str):
+        return {}
+    return dict(zip(names, map(float, values or range(len(names))), strict=False))
+
+
+def _numbers(client: TunerClient, given: Mapping[str, float | str]) -> dict[str, float]:
+    """Return values by name as numbers, also those that are given by the names of choices.
+
+    Raises:
+        TunerError: If there is no choice of such a name.
+    """
+    numbers = {}
+    for name, value in given.items():
+        if isinstance(value, str):
+            choices = _choices(client, name)
+            if value not in choices:
+                allowed = ", ".join(choices) or "a number"
+                text = f"{name} is '{value}'; allowed is {allowed}"
+                raise TunerError(ErrorCode.INVALID_VALUE, text)
+            value = choices[value]
+        numbers[name] = value
+    return numbers
+
+
+def _shown(value: float, choices: Mapping[str, float], digits: int = 6) -> str:
+    """Return a value as text: the name of the nearest choice if there are any, else so many digits."""
+    if choices and math.isfinite(value):
+        return min(choices, key=lambda name: abs(choices[name] - value))
+    return f"{value:.{digits}g}"
+
+
 def _nearest(points: Sequence[Point], near: Mapping[str, float]) -> list[Point]:
     """Return points from the nearest to the farthest; each name counts by its span over the front."""
     columns = {name: [_values(point)[name] for point in points] for name in near}
@@ -401,7 +444,11 @@ def _nearest(points: Sequence[Point], near: Mapping[str, float]) -> list[Point]:
 
 
 def _table(
-    front: Front, listed: Sequence[Point], title: str, further: Iterable[str], top: int
+    front: Front,
+    listed: Sequence[Point],
+    title: str,
+    further: Mapping[str, Mapping[str, float]],
+    top: int,
 ) -> str:
     """Return points of a front, one per line; a predicted point has no index.
 
@@ -409,7 +456,7 @@ def _table(
         front: Front of the points.
         listed: Points in the order to list them.
         title: Kind of the front.
-        further: Names of variables to list beside the objectives.
+        further: Names of variables to list beside the objectives, each with its choices that have names.
         top: Number of points to list; 0 = all.
     """
     shown = listed[: top or None]
@@ -420,7 +467,7 @@ def _table(
     for point in shown:
         values = _values(point)
         index = "-" if point.index is None else str(point.index)
-        rows.append([index, *(f"{values[name]:.4g}" for name in names)])
+        rows.append([index, *(_shown(values[name], further.get(name, {}), 4) for name in names)])
     lines.append(_aligned(rows))
     if len(shown) < len(listed):
         lines.append(f"{len(listed) - len(shown)} more: --top 0 lists all")
@@ -448,6 +495,12 @@ def _named_number(text: str) -> tuple[str, float]:
     if not math.isfinite(number):
         raise argparse.ArgumentTypeError(f"{value!r} in {text!r} is not a number")
     return name, number
+
+
+def _named_number_or_choice(text: str) -> tuple[str, float | str]:
+    """Return NAME=NUMBER, or NAME=CHOICE for a variable whose choices have names."""
+    name, value = _named_value(text)
+    return (name, value) if isinstance(value, str) else _named_number(text)
 
 
 def _count(text: str) -> int:

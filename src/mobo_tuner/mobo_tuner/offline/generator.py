@@ -77,6 +77,7 @@ class MoboGenerator(Generator):  # type: ignore[misc]  # gest-api has no types
         problem = vocs if isinstance(vocs, Problem) else problem_of(vocs, references)
         self.vocs = vocs_of(vocs) if isinstance(vocs, Problem) else vocs
         self.optimizer = Optimizer(problem, preset, seed, **overrides)
+        self._named = not isinstance(vocs, Problem)  # whether points have the words of the VOCS
         self._batch_size = batch_size
         self._fixed = {v.name: v.fixed for v in problem.variables if v.fixed is not None}
         self._next_id = 0
@@ -100,7 +101,8 @@ class MoboGenerator(Generator):  # type: ignore[misc]  # gest-api has no types
         count = self._batch_size if num_points is None else int(num_points)
         for setpoint in self.optimizer.ask(count):
             self._suggested[self._next_id] = setpoint
-            points.append({**setpoint, **constants, ID: self._next_id})
+            words = self.optimizer.problem.chosen(setpoint) if self._named else {}
+            points.append({**setpoint, **words, **constants, ID: self._next_id})
             self._next_id += 1
         return points
 
@@ -132,7 +134,7 @@ class MoboGenerator(Generator):  # type: ignore[misc]  # gest-api has no types
         """Return one result with its numbers as floats, if it fits the problem."""
         problem = self.optimizer.problem
         setpoint = {
-            v.name: as_float(v.name, result.get(v.name, self._fixed.get(v.name)))
+            v.name: as_float(v.name, v.number(result.get(v.name, self._fixed.get(v.name))))
             for v in problem.variables
         }
         problem.normalize(setpoint)

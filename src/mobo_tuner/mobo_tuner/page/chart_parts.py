@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
+
+from mobo_tuner.core.problem import Variable
 
 MAX_POINTS = 600  # of a series; more are thinned out
 FONT = "Roboto, sans-serif"
@@ -165,6 +168,23 @@ def axis(
         "scale": True,
         **parts,
     }
+
+
+def choice_labels(variable: Variable, label: Options) -> Options:
+    """Return what an axis of a variable needs to show names of choices; empty if there are none.
+
+    Args:
+        variable: Variable.
+        label: Label of the axis for numbers.
+    """
+    if not variable.choice_names:
+        return {}
+    names = {f"{c:g}": n for c, n in zip(variable.choices, variable.choice_names, strict=True)}
+    shown = {
+        "customValues": list(variable.choices),
+        ":formatter": f"(value) => ({json.dumps(names)})[value] ?? ''",
+    }
+    return {"axisLabel": {**label, **shown}, "axisTick": {"customValues": list(variable.choices)}}
 
 
 def scatter(

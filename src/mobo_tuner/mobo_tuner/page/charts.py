@@ -19,6 +19,7 @@ from mobo_tuner.page.chart_parts import (
     Colours,
     Options,
     axis,
+    choice_labels,
     curve,
     finite,
     legend,
@@ -27,7 +28,7 @@ from mobo_tuner.page.chart_parts import (
     scatter,
     thinned,
 )
-from mobo_tuner.page.words import measured, place
+from mobo_tuner.page.words import measured, set_to
 
 MAX_LINES = 150  # of the parallel coordinates
 FAINT: Options = {"itemStyle": {"opacity": 0.15}}
@@ -255,6 +256,8 @@ def _parallel_axis(position: int, name: str, unit: str, colours: Colours) -> Opt
 def _bounded(axis: Options, variable: Variable) -> Options:
     """Return an axis that ends at the bounds of a variable."""
     ends = variable.minimum, variable.maximum
+    if variable.choice_names:
+        return axis | {"min": ends[0], "max": ends[1]} | choice_labels(variable, axis["axisLabel"])
     values = [ends[0], 0.5 * (ends[0] + ends[1]), ends[1]]
     axis["axisLabel"]["customValues"] = values
     return axis | {"min": ends[0], "max": ends[1], "axisTick": {"customValues": values}}
@@ -284,9 +287,7 @@ def _evaluated(evaluation: Evaluation, x: str, y: str, problem: Problem) -> Opti
 def setpoint_lines(setpoint: Mapping[str, float], problem: Problem) -> list[str]:
     """Return a set-point, a line for each variable of the problem."""
     return [
-        f"{v.name} {place(setpoint[v.name], v.maximum - v.minimum, v.unit)}"
-        for v in problem.variables
-        if v.name in setpoint
+        f"{v.name} {set_to(v, setpoint[v.name])}" for v in problem.variables if v.name in setpoint
     ]
 
 

@@ -13,7 +13,7 @@ from mobo_tuner.core.problem import Variable
 from mobo_tuner.displays.settings import labelled, setting_value, settings_of
 from mobo_tuner.page.commands import Answer, Commands
 from mobo_tuner.page.viewer import Table, Viewer
-from mobo_tuner.page.words import number, place, quantity
+from mobo_tuner.page.words import number, place, quantity, set_to
 
 
 class Dialog:
@@ -114,6 +114,8 @@ class GoDialog(Dialog):
             new = point.setpoint.get(name, math.nan)
             span = variable.maximum - variable.minimum
             way = f"{place(here, span)} → {place(new, span, variable.unit)}"
+            if variable.choice_names:
+                way = f"{set_to(variable, here)} → {set_to(variable, new)}"
             rows.append((name, way, travel(variable, here, new)))
         self._table.show(rows)
         super().open()
@@ -136,6 +138,8 @@ def travel(variable: Variable, here: float, new: float) -> str:
     if math.isnan(here):
         return "from an unknown place"
     reach = variable.maximum - variable.minimum
+    if variable.choice_names:
+        return "stays" if variable.shown(here) == variable.shown(new) else "changes"
     if reach <= 0.0:
         return "stays" if new == here else "it is fixed"
     return f"{abs(new - here) / reach:.0%} of its range"
@@ -153,7 +157,7 @@ class QueueDialog(Dialog):
             self._send,
         )
         self._commands = commands
-        self._fields: dict[str, ui.number] = {}
+        self._fields: dict[str, ui.number | ui.select] = {}
         self.body.classes("fields")
 
     def open(self) -> None:
@@ -169,6 +173,11 @@ class QueueDialog(Dialog):
         with self.body:
             for variable in run.problem.variables:
                 value = proposed(variable, values.get(variable.name))
+                if variable.choice_names:
+                    words = dict(zip(variable.choices, variable.choice_names, strict=True))
+                    choice = ui.select(words, label=variable.name, value=value)
+                    self._fields[variable.name] = choice.props("dense outlined")
+                    continue
                 label = f"{labelled(variable.name, variable.unit)}, "
                 label += f"{number(variable.minimum)} to {number(variable.maximum)}"
                 field = ui.number(label, value=value)
@@ -250,6 +259,8 @@ def proposed(variable: Variable, value: float | None) -> float | None:
     """Return a value for a field: within the bounds, which a readback may be just outside of."""
     if value is None or not math.isfinite(value):
         return None
+    if variable.choice_names:
+        return min(variable.choices, key=lambda choice: abs(choice - value))
     return float(f"{min(max(value, variable.minimum), variable.maximum):.6g}")
 
 

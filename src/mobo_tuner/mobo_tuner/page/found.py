@@ -156,6 +156,10 @@ class ObjectivesPanel:
             text = "–" if best is None else quantity(best[0], unit, 4)
             arrow = "↓" if objective.sign > 0 else "↑"
             note = "" if best is None else f"at {best[1]}"
+            if objective.goal is not None:
+                reached = run.progress.is_reached(name)
+                goal = quantity(objective.goal, unit, 4)
+                note += f", good enough ({goal})" if reached else f", good enough from {goal}"
             rows.append(
                 (f"{name} {arrow}", f"last {measured(value, spread)}", f"best {text}", note)
             )

@@ -9,12 +9,14 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from mobo_tuner.core.problem import Variable
 from mobo_tuner.displays.settings import labelled
 from mobo_tuner.page.chart_parts import (
     FONT,
     Colours,
     Options,
     axis,
+    choice_labels,
     error_bars,
     marks,
     options,
@@ -27,33 +29,33 @@ BAND = 2.0  # standard deviations
 
 
 def model_slice(
-    content: Mapping[str, Any], variable: str, unit: str, output: str, colours: Colours
+    content: Mapping[str, Any], variable: Variable, output: str, colours: Colours
 ) -> Options:
     """Return an output along a variable with its band, and the acquisition function below.
 
     Args:
         content: What the models say.
-        variable: Name of the variable.
-        unit: Its unit.
+        variable: Variable.
         output: Name of the output.
         colours: Colours of the plot.
     """
-    part = content["slices"][variable]
+    part = content["slices"][variable.name]
     values, means, stddevs = part["values"], part["means"][output], part["stddevs"][output]
     low = [[x, _minus(m, s)] for x, m, s in zip(values, means, stddevs, strict=True)]
     width = [
         [x, None if s is None else 2.0 * BAND * s] for x, s in zip(values, stddevs, strict=True)
     ]
     gain = [[x, a] for x, a in zip(values, part["acquisition"], strict=True)]
-    here = [{"xAxis": content["setpoint"][variable]}]
+    here = [{"xAxis": content["setpoint"][variable.name]}]
     bounds = values[0], values[-1]
     labels = bounds[0], 0.5 * (bounds[0] + bounds[1]), bounds[1]
     least, most = _reach(content, output)
+    below = axis("", colours, 0, labels=labels, min=bounds[0], max=bounds[1], gridIndex=1)
     band = {"type": "line", "stack": "band", "symbol": "none", "lineStyle": {"opacity": 0.0}}
     plain = {"type": "line", "symbol": "none"}
     return options(
         colours,
-        title=title(labelled(variable, unit), colours),
+        title=title(labelled(variable.name, variable.unit), colours),
         grid=[
             {"left": 58, "right": 14, "top": 34, "bottom": 76},
             {"left": 58, "right": 14, "height": 34, "bottom": 24},
@@ -68,7 +70,7 @@ def model_slice(
                 max=bounds[1],
                 axisLabel={"show": False},
             ),
-            axis("", colours, 0, labels=labels, min=bounds[0], max=bounds[1], gridIndex=1),
+            below | choice_labels(variable, below["axisLabel"]),
         ],
         yAxis=[
             axis("", colours, 0, bare_ends=True, min=least, max=most),

@@ -8,7 +8,7 @@ from nicegui import ui
 
 from mobo_tuner.page.board import Level
 from mobo_tuner.page.viewer import Table, Viewer, card
-from mobo_tuner.page.words import SYMBOLS, duration, place, state_of
+from mobo_tuner.page.words import SYMBOLS, duration, place, set_to, state_of
 
 LEAST_TRAVEL = 0.003  # share of a variable's range below which it counts as staying where it is
 _LEVEL_SYMBOLS: dict[Level, str] = {"ok": "✓", "warning": "!", "error": "✕", "stale": "?"}
@@ -93,10 +93,15 @@ class MotionPanel:
             here = motion.readbacks.get(name, math.nan)
             span = ranges.get(name, 0.0)
             way = f"{place(start, span)} → {place(target, span, unit)}"
+            now = place(here, span)
+            variable = None if problem is None else problem.variable(name)
+            if variable is not None and variable.choice_names:
+                way = f"{set_to(variable, start)} → {set_to(variable, target)}"
+                now = set_to(variable, here)
             share = "" if math.isnan(fraction) else f"{fraction:.0%}"
             if abs(target - start) < LEAST_TRAVEL * span:
                 share = "stays"
-            rows.append((name, way, f"now {place(here, span)}", share))
+            rows.append((name, way, f"now {now}", share))
         self._table.show(rows)
         self._none.set_visibility(not rows)
 

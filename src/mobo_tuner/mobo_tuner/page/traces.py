@@ -12,6 +12,7 @@ from mobo_tuner.page.chart_parts import (
     Colours,
     Options,
     axis,
+    choice_labels,
     error_bars,
     finite,
     marks,
@@ -20,25 +21,25 @@ from mobo_tuner.page.chart_parts import (
     thinned,
     title,
 )
-from mobo_tuner.page.words import limits, measured, place
+from mobo_tuner.page.words import limits, measured, set_to
 
 
 def variable(run: RunBoard, variable: Variable, colours: Colours) -> Options:
     """Return the plot of a variable over the evaluations, between its bounds."""
     name = variable.name
     made = [e for e in thinned(run.evaluations) if name in e.setpoint]
-    span = variable.maximum - variable.minimum
+    values = axis("", colours, 0)
     bounds = [{"yAxis": variable.minimum}, {"yAxis": variable.maximum}]
 
     def said(evaluation: Evaluation) -> str:
-        return place(evaluation.setpoint[name], span, variable.unit)
+        return set_to(variable, evaluation.setpoint[name])
 
     return options(
         colours,
         title=title(labelled(name, variable.unit), colours),
         grid=[{"left": 54, "right": 14, "top": 34, "bottom": 26}],
         xAxis=[axis("", colours, 0, min=0, minInterval=1)],
-        yAxis=[axis("", colours, 0)],
+        yAxis=[values | choice_labels(variable, values["axisLabel"])],
         series=[
             {
                 **scatter(

@@ -181,8 +181,10 @@ class ModelsPanel:
             with self._body:
                 self._slices = {name: self._chart(f"{name}: slice") for name in names}
         for name, chart in self._slices.items():
-            unit = problem.units.get(name, "")
-            show(chart, model_charts.model_slice(content, name, unit, chosen["name"], colours))
+            variable = problem.variable(name)
+            if variable is not None:
+                options = model_charts.model_slice(content, variable, chosen["name"], colours)
+                show(chart, options)
         show(self._drivers, model_charts.drivers(content["outputs"], colours))
         show(self._left_out, model_charts.left_out(chosen, colours))
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from mobo_tuner.core.problem import Constraint
+from mobo_tuner.core.problem import Constraint, Variable
 from mobo_tuner.core.units import raised
 from mobo_tuner.page.board import Board
 
@@ -111,6 +111,13 @@ def place(value: float, span: float, unit: str = "") -> str:
         return quantity(value, unit)
     text = f"{round(value, decimals) + 0.0:.{decimals}f}".replace("-", "−")
     return f"{text} {unit}".rstrip()
+
+
+def set_to(variable: Variable, value: float) -> str:
+    """Return the value of a variable with its unit, or the name of a choice that has one."""
+    if variable.choice_names and math.isfinite(value):
+        return variable.shown(value)
+    return place(value, variable.maximum - variable.minimum, variable.unit)
 
 
 def limits(constraint: Constraint) -> str:

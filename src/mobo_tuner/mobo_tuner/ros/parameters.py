@@ -32,8 +32,9 @@ _NEARLY = 0.8  # similarity above which a name counts as another one misspelt
 def as_node_arguments(arguments: Sequence[str], name: str = "") -> Iterator[list[str]]:
     """Yield the command line of a program with one node, as rclpy must get it.
 
-    It differs in three ways. What has no value in a file is left out, whereas ROS refuses the file or
-    the node. A `-p name:=value` wins over every section of the parameter files, whereas
+    It differs in four ways. What has no value in a file is left out, whereas ROS refuses the file or
+    the node. Parameters below a key with a dot keep their names, which ROS mixes up. A
+    `-p name:=value` wins over every section of the parameter files, whereas
     ROS lets it yield to the section of the node. And a node that is renamed or in a namespace takes
     the section of its original name in each file without a section of its own but `/**`, whereas ROS
     ignores that section.
@@ -49,6 +50,7 @@ def as_node_arguments(arguments: Sequence[str], name: str = "") -> Iterator[list
     _refuse_misspelt_sections(arguments, name, node)
     with ExitStack() as files:
         words = _with_own_section(_without_gaps(arguments, files), name, node, files)
+        words = _with_plain_keys(words, files)
         given = _assigned(arguments, {name, node, node.rpartition("/")[2]} - {""})
         if given:
             lines = [f"    {key}: {value}" for key, value in given.items()]
@@ -147,6 +149,33 @@ def _with_own_section(
             text = key.sub(f'"{node}"', Path(path).read_text(encoding="utf-8"))
             words[position] = _temporary(text, files)
     return words
+
+
+def _with_plain_keys(arguments: Sequence[str], files: ExitStack) -> list[str]:
+    """Give all parameters of a file by their ROS names if a key with a dot holds a mapping.
+
+    The parser of ROS forgets such a key only up to its last dot.
+    """
+    words = list(arguments)
+    for position, (flag, path) in enumerate(pairwise(arguments), start=1):
+        content = _content(path) if flag == "--params-file" else {}
+        if not _has_dotted_mapping(content):
+            continue
+        plain = {
+            section: {"ros__parameters": dict(flat(part["ros__parameters"]))}
+            for section, part in content.items()
+            if isinstance(part, Mapping) and isinstance(part.get("ros__parameters"), Mapping)
+        }
+        words[position] = _temporary(yaml.safe_dump(plain, sort_keys=False), files)
+    return words
+
+
+def _has_dotted_mapping(content: Mapping[Any, Any]) -> bool:
+    """Return whether a key with a dot holds a mapping, at any depth."""
+    return any(
+        isinstance(value, Mapping) and ("." in str(key) or _has_dotted_mapping(value))
+        for key, value in content.items()
+    )
 
 
 def _content(path: str) -> Mapping[Any, Any]:

@@ -2,7 +2,7 @@
 
 One row per evaluation, columns by name; moves that are not part of an evaluation are in a second table, `moves`,
 if there were any. A readback is `NAME.readback`, a standard deviation
-`NAME.stddev`; names of the problem have no dot. The units are in the CSV's first line, a comment, and in
+`NAME.stddev`, with which no name of the problem ends. The units are in the CSV's first line, a comment, and in
 the metadata of a Parquet file, whole and column by column.
 """
 
@@ -18,6 +18,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from mobo_tuner.core.problem import Variable
 from mobo_tuner.errors import UserError
 from mobo_tuner.files import replace_file
 from mobo_tuner.runs.recorded_run import RecordedRun
@@ -50,7 +51,7 @@ def columns_of(run: RecordedRun) -> tuple[dict[str, Column], dict[str, str]]:
     }
     units = {"stamp": "s", **dict.fromkeys(_SECONDS, "s")}
 
-    def add(name: str, suffix: str, values: Sequence[float]) -> None:
+    def add(name: str, suffix: str, values: Column) -> None:
         column = f"{name}{suffix}"
         if column in columns:  # a diagnostic that is called as one of the columns above
             column = f"{name}.value"
@@ -58,8 +59,9 @@ def columns_of(run: RecordedRun) -> tuple[dict[str, Column], dict[str, str]]:
         if problem.units.get(name):
             units[column] = problem.units[name]
 
-    for name in problem.variable_names:
-        add(name, "", [r.setpoint.get(name, math.nan) for r in records])
+    for variable in problem.variables:
+        values = [r.setpoint.get(variable.name, math.nan) for r in records]
+        add(variable.name, "", _named(variable, values))
     diagnostics = dict.fromkeys(
         [*problem.required_diagnostics, *(name for r in records for name in r.diagnostics)]
     )
@@ -88,7 +90,10 @@ def moves_of(run: RecordedRun) -> tuple[dict[str, Column], dict[str, str]]:
         "error_msg": ["its end is unknown" if e is None else e.error_msg for e in ended],
     }
     names = problem.variable_names
-    columns |= {name: [a.setpoint.get(name, math.nan) for a in asked] for name in names}
+    columns |= {
+        v.name: _named(v, [a.setpoint.get(v.name, math.nan) for a in asked])
+        for v in problem.variables
+    }
     columns |= {
         f"{name}.readback": [
             math.nan if e is None else e.readbacks.get(name, math.nan) for e in ended
@@ -101,6 +106,13 @@ def moves_of(run: RecordedRun) -> tuple[dict[str, Column], dict[str, str]]:
         if problem.units.get(name.removesuffix(".readback"))
     }
     return columns, {"stamp": "s", "ended": "s", **units}
+
+
+def _named(variable: Variable, values: Sequence[float]) -> Column:
+    """Return values of a variable, or the names of its choices if they have names."""
+    if not variable.choice_names:
+        return values
+    return [variable.shown(value) if math.isfinite(value) else "" for value in values]
 
 
 def as_csv(run_id: str, columns: Mapping[str, Column], units: Mapping[str, str]) -> bytes:

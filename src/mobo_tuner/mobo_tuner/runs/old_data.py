@@ -36,6 +36,7 @@ class OldEvaluation:
         stamp: When it was made [s since the epoch].
         error_code: Code of `EvaluateSetpoint.Result`; 0 = none.
         withdrawn: Whether an operator withdrew it.
+        words: Texts that stand in place of values, such as names of choices, by name.
     """
 
     values: Mapping[str, float]
@@ -44,6 +45,7 @@ class OldEvaluation:
     readbacks: Mapping[str, float] = field(default_factory=dict)
     error_code: int = 0
     withdrawn: bool = False
+    words: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -180,6 +182,9 @@ def _evaluations(rows: Iterable[Mapping[str, object]], path: Path) -> list[OldEv
                 readbacks=_with_suffix(numbers, ".readback"),
                 error_code=255 if failed else _code(numbers.get("error_code", 0.0)),
                 withdrawn=_is_true(row.get("withdrawn")),
+                words={
+                    n: v for n, v in row.items() if isinstance(v, str) and math.isnan(numbers[n])
+                },
             )
         )
     return found

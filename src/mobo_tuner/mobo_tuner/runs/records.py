@@ -336,16 +336,14 @@ def problem_from_message(message: Any) -> Problem:
         ValueError, AttributeError: If the message is not a valid problem.
     """
     sections: dict[str, dict[str, dict[str, Any]]] = {
-        "variables": _entries(
-            message.variables,
-            lambda v: {"min": v.min, "max": v.max, "unit": v.unit, "cost": v.cost},
-        ),
+        "variables": _entries(message.variables, _variable),
         "objectives": _entries(message.objectives, _objective),
         "constraints": _entries(
             message.constraints,
             lambda c: {**_finite(min=c.min, max=c.max), "unit": c.unit, "critical": c.critical},
         ),
         "observables": _entries(message.observables, lambda o: {"unit": o.unit}),
+        "limits": _entries(getattr(message, "limits", ()), _limit),  # older bags have none
     }
     return Problem.from_dict(sections)
 
@@ -360,11 +358,33 @@ def _entries(items: Iterable[Any], entry: Callable[[Any], dict[str, Any]]) -> di
     return section
 
 
+def _variable(item: Any) -> dict[str, Any]:
+    entry: dict[str, Any] = {"unit": item.unit, "cost": item.cost}
+    choices = list(getattr(item, "choices", ()))  # older bags have no grids
+    names = [choice.name for choice in choices if choice.name]
+    if names:
+        return entry | {"choices": names, "values": [float(c.value) for c in choices]}
+    entry |= {"min": item.min, "max": item.max}
+    if getattr(item, "step", 0.0):
+        entry["step"] = item.step
+    elif choices:
+        entry["choices"] = [float(c.value) for c in choices]
+    return entry
+
+
+def _limit(item: Any) -> dict[str, float]:
+    coefficients = {each.name: float(each.value) for each in item.coefficients}
+    return coefficients | _finite(min=item.min, max=item.max)
+
+
 def _objective(item: Any) -> dict[str, Any]:
     if not 0 <= item.direction < len(DIRECTIONS):
         raise ValueError(f"direction is {item.direction}; 0 to {len(DIRECTIONS) - 1} is allowed")
     entry = {"direction": DIRECTIONS[item.direction], "unit": item.unit}
-    if item.truncated:
+    if getattr(item, "has_goal", False):  # older bags have no goals
+        minimised = entry["direction"] == "minimize"
+        entry["goal"] = float(item.truncation_min if minimised else item.truncation_max)
+    elif item.truncated:
         entry["truncation"] = [float(item.truncation_min), float(item.truncation_max)]
     return entry | _finite(reference=item.reference)
 

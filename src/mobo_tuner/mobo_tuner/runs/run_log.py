@@ -9,11 +9,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mobo_tuner.core import Optimizer
-from mobo_tuner.runs.journal import Journal, JournalWriteError, append_record, journal_line
+from mobo_tuner.runs.journal import (
+    Journal,
+    JournalWriteError,
+    JsonRecord,
+    append_record,
+    journal_line,
+)
 from mobo_tuner.runs.records import (
     ChangeRecord,
+    EvaluationRecord,
     ForgetRecord,
     MoveRecord,
+    QueuedRecord,
     Record,
     StartRecord,
     StateRecord,
@@ -49,6 +57,7 @@ class RunLog:
     ) -> None:
         self._run_dir = run_dir
         self._run_id = start.run_id
+        self._problem = start.problem
         self._changes = 0
         self._lines: list[str] = []
         self._waiting: deque[Record] = deque()  # not in the journal yet
@@ -58,7 +67,7 @@ class RunLog:
         self._journal = None
         self._ended = ended
         if run_dir is not None and not ended:
-            self._journal = Journal.create(run_dir, [to_json(record) for record in records])
+            self._journal = Journal.create(run_dir, [self._json(record) for record in records])
         for record in records:
             self._outline(record)
 
@@ -78,11 +87,11 @@ class RunLog:
         """
         with self._lock:
             if self._ended and self._run_dir is not None:
-                append_record(self._run_dir, to_json(record))
+                append_record(self._run_dir, self._json(record))
             elif not self._ended:
                 self._write_waiting()
                 if self._journal is not None:
-                    self._journal.append(to_json(record))
+                    self._journal.append(self._json(record))
             self._outline(record)
 
     def keep(self, record: Record) -> None:
@@ -106,7 +115,7 @@ class RunLog:
     def _write_waiting(self) -> None:
         while self._waiting:
             if self._journal is not None:
-                self._journal.append(to_json(self._waiting[0]))
+                self._journal.append(self._json(self._waiting[0]))
             self._waiting.popleft()
 
     def save(self, optimizer: Optimizer) -> None:
@@ -136,7 +145,18 @@ class RunLog:
         if self._journal is not None:
             self._journal.close()
 
+    def _json(self, record: Record) -> JsonRecord:
+        """Return a record as a JSON object, in which the names of choices are beside their numbers."""
+        if isinstance(record, StartRecord | ChangeRecord):
+            self._problem = record.problem
+        content = to_json(record)
+        if isinstance(record, EvaluationRecord | QueuedRecord | MoveRecord):
+            chosen = self._problem.chosen(record.setpoint)
+            if chosen:
+                content["chosen"] = chosen
+        return content
+
     def _outline(self, record: Record) -> None:
         if isinstance(record, StartRecord | ChangeRecord | ForgetRecord | MoveRecord | StateRecord):
             self._changes += isinstance(record, ChangeRecord | ForgetRecord)
-            self._lines.append(journal_line(to_json(record)).decode())
+            self._lines.append(journal_line(self._json(record)).decode())

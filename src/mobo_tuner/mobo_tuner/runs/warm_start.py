@@ -84,7 +84,7 @@ class WarmStart:
         wrong = self._wrong_units(data)
         lacking = [n for n in wrong if n in problem.variable_names]
         taken.notes += [f"'{n}' is left out: {why}" for n, why in wrong.items() if n not in lacking]
-        for evaluation in sorted(data.evaluations, key=lambda e: e.stamp):
+        for evaluation in sorted(map(self._numbered, data.evaluations), key=lambda e: e.stamp):
             reason = f"the {wrong[lacking[0]]} of '{lacking[0]}'" if lacking else ""
             reason = reason or self._misfit(evaluation, wrong)
             if reason:
@@ -92,6 +92,15 @@ class WarmStart:
             else:
                 self._take(evaluation, wrong)
                 taken.count += 1
+
+    def _numbered(self, evaluation: OldEvaluation) -> OldEvaluation:
+        """Return an evaluation with what stands for the choices that it names."""
+        numbers = {}
+        for variable in self._problem.variables:
+            number = variable.number(evaluation.words.get(variable.name))
+            if isinstance(number, float):
+                numbers[variable.name] = number
+        return replace(evaluation, values={**evaluation.values, **numbers})
 
     def _wrong_units(self, data: OldData) -> dict[str, str]:
         """Return the quantities whose units differ from the problem's, with both."""
@@ -114,6 +123,8 @@ class WarmStart:
                 return f"without a value of '{variable.name}'"
             if not variable.minimum <= value <= variable.maximum:
                 return f"outside the bounds of '{variable.name}'"
+            if variable.choice_names and value not in variable.choices:
+                return f"at none of the choices of '{variable.name}'"
         for limit in problem.limits:
             if not limit.is_met(values):
                 return f"beyond limits.{limit.name}"

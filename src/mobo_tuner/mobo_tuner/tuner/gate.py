@@ -16,6 +16,7 @@ from mobo_tuner.core.problem import Problem
 from mobo_tuner.errors import UserError
 from mobo_tuner.ros.conversions import named_values
 from mobo_tuner.tuner.machine_client import Answer, FeedbackCallback
+from mobo_tuner.tuner.messages import limit_messages
 
 READBACK_MARGIN = 0.01
 """Distance from a bound, as a share of the range, at which a readback is taken for the bound itself."""
@@ -86,11 +87,14 @@ class Machine(Protocol):
         setpoint: Sequence[msg.NamedValue],
         on_feedback: FeedbackCallback,
         *interrupts: Future,
+        limits: Sequence[msg.Limit] = (),
         leave: Future | None = None,
     ) -> Answer:
         """Have the machine go to a set-point."""
 
-    async def send_off(self, setpoint: Sequence[msg.NamedValue], timeout: float) -> bool:
+    async def send_off(
+        self, setpoint: Sequence[msg.NamedValue], timeout: float, limits: Sequence[msg.Limit] = ()
+    ) -> bool:
         """Have the machine go to a set-point by itself."""
 
 
@@ -193,11 +197,8 @@ class Gate:
             BoundsError: If the set-point or one of the fallbacks is not allowed; nothing was sent.
             MachineLostError: If the machine refused the goal, fell silent or took too long.
         """
-        targets = [
-            Target(request.setpoint, request.anyway),
-            request.if_client_lost,
-            request.if_violated,
-        ]
+        wanted = Target(request.setpoint, request.anyway)
+        targets = [wanted, request.if_client_lost, request.if_violated]
         for target in targets:
             if target is not None:
                 self.check(target)
@@ -210,6 +211,7 @@ class Gate:
             attempt=request.attempt,
             setpoint=at,
             shots=request.shots,
+            limits=self._limits_for(wanted),
             critical=list(request.critical),
             client_timeout=request.client_timeout,
             if_client_lost=if_client_lost,
@@ -236,7 +238,10 @@ class Gate:
         self.check(target)
         setpoint = named_values(target.setpoint, units)
         watched = self._watched(setpoint, on_feedback)
-        answer = await self._machine.apply(setpoint, watched, *interrupts, leave=leave)
+        limits = self._limits_for(target)
+        answer = await self._machine.apply(
+            setpoint, watched, *interrupts, limits=limits, leave=leave
+        )
         return self._ended(answer, units)
 
     async def send_off(self, target: Target, units: Mapping[str, str], timeout: float) -> bool:
@@ -249,7 +254,19 @@ class Gate:
         setpoint = named_values(target.setpoint, units)
         if self._motion is not None:
             self._motion.begin(setpoint)
-        return await self._machine.send_off(setpoint, timeout)
+        return await self._machine.send_off(setpoint, timeout, self._limits_for(target))
+
+    def _limits_for(self, target: Target) -> list[msg.Limit]:
+        """Return the limits on sums of variables that the machine keeps on its way to a target.
+
+        An operator's word leads across them, too: those that a target does not meet are left out.
+        """
+        at = target.setpoint
+        return limit_messages(
+            limit
+            for limit in self.bounds.limits
+            if all(name in at for name, _ in limit.coefficients) and limit.is_met(at)
+        )
 
     def _watched(
         self, setpoint: Sequence[msg.NamedValue], on_feedback: FeedbackCallback
@@ -305,6 +322,7 @@ def check_grids(problem: Problem, setpoint: Mapping[str, float]) -> None:
             raise BoundsError(
                 f"set-point {v.name} is {value:g}, which is not on its grid; "
                 f"{' and '.join(f'{each:g}' for each in sorted(nearest))} are allowed"
+                + (f" ({', '.join(v.choice_names)})" if v.choice_names else "")
             )
 
 

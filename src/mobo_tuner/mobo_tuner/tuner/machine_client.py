@@ -131,6 +131,7 @@ class MachineClient:
         setpoint: Sequence[msg.NamedValue],
         on_feedback: FeedbackCallback,
         *interrupts: Future,
+        limits: Sequence[msg.Limit] = (),
         leave: Future | None = None,
     ) -> Answer:
         """Have the machine go to a set-point, ramped and verified.
@@ -139,6 +140,7 @@ class MachineClient:
             setpoint: Every variable once.
             on_feedback: Function that gets the feedback.
             interrupts: Futures; when one of them is done, the machine is stopped.
+            limits: Limits on sums of variables that it keeps on the way.
             leave: Future; when it is done, this returns, and the machine finishes the move by itself.
 
         Raises:
@@ -146,7 +148,7 @@ class MachineClient:
         """
         if not self._apply.server_is_ready():
             raise MachineLostError("the machine does not offer 'apply_setpoint'")
-        goal = ApplySetpoint.Goal(setpoint=list(setpoint))
+        goal = ApplySetpoint.Goal(setpoint=list(setpoint), limits=list(limits))
         result = await self._carry_out(self._apply, goal, "a move", on_feedback, interrupts, leave)
         if result is None:
             return self._canceled()
@@ -173,12 +175,15 @@ class MachineClient:
             raise MachineLostError("the machine does not say where it is")
         return where
 
-    async def send_off(self, setpoint: Sequence[msg.NamedValue], timeout: float) -> bool:
+    async def send_off(
+        self, setpoint: Sequence[msg.NamedValue], timeout: float, limits: Sequence[msg.Limit] = ()
+    ) -> bool:
         """Have the machine go to a set-point by itself: only its acceptance is waited for."""
         if not self._apply.server_is_ready():
             return False
         await self._let_go(timeout / 2)
-        sent = self._apply.send_goal_async(ApplySetpoint.Goal(setpoint=list(setpoint)))
+        goal = ApplySetpoint.Goal(setpoint=list(setpoint), limits=list(limits))
+        sent = self._apply.send_goal_async(goal)
         done = await first_of(self._node, sent, timeout=timeout / 2)
         return done is not None and sent.result().accepted
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from itertools import zip_longest
 
 from builtin_interfaces.msg import Time
 from std_msgs.msg import Header
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.srv import DescribeMachine
-from mobo_tuner.core.problem import Problem
+from mobo_tuner.core.problem import Limit, Problem
 from mobo_tuner.ros.conversions import named_values
 from mobo_tuner.runs.records import EvaluationRecord, MessageClasses, to_message
 
@@ -19,12 +20,19 @@ _CLASSES = MessageClasses(msg.Evaluation, msg.NamedValue, Header, Time)
 
 def machine_facts(
     machine: DescribeMachine.Response,
-) -> tuple[dict[str, tuple[float, float]], dict[str, str], dict[str, str]]:
+) -> tuple[
+    dict[str, tuple[float, float]], dict[str, str], dict[str, str], dict[str, dict[str, float]]
+]:
     """Return what a machine says of itself, as `Problem.check_machine` takes it."""
     return (
         {v.name: (v.min, v.max) for v in machine.variables},
         {d.name: d.unit for d in machine.diagnostics},
         {v.name: v.unit for v in machine.variables},
+        {
+            v.name: {choice.name: choice.value for choice in v.choices}
+            for v in machine.variables
+            if any(choice.name for choice in v.choices)
+        },
     )
 
 
@@ -44,13 +52,37 @@ def constraint_messages(problem: Problem, critical_only: bool = False) -> list[m
     ]
 
 
+def limit_messages(limits: Iterable[Limit]) -> list[msg.Limit]:
+    """Return limits on sums of variables as messages."""
+    return [
+        msg.Limit(
+            name=limit.name,
+            coefficients=named_values(dict(limit.coefficients), {}),
+            min=limit.minimum,
+            max=limit.maximum,
+        )
+        for limit in limits
+    ]
+
+
 def problem_message(problem: Problem, run_id: str, stamp: Time) -> msg.Problem:
     """Return the problem of a run as its message."""
     return msg.Problem(
         header=Header(stamp=stamp),
         run_id=run_id,
         variables=[
-            msg.Variable(name=v.name, unit=v.unit, min=v.minimum, max=v.maximum, cost=v.cost)
+            msg.Variable(
+                name=v.name,
+                unit=v.unit,
+                min=v.minimum,
+                max=v.maximum,
+                cost=v.cost,
+                step=v.step,
+                choices=[
+                    msg.NamedValue(name=name, value=value, unit=v.unit)
+                    for value, name in zip_longest(v.choices, v.choice_names, fillvalue="")
+                ],
+            )
             for v in problem.variables
         ],
         objectives=[
@@ -64,11 +96,13 @@ def problem_message(problem: Problem, run_id: str, stamp: Time) -> msg.Problem:
                 truncated=o.truncation is not None,
                 truncation_min=o.truncation[0] if o.truncation else math.nan,
                 truncation_max=o.truncation[1] if o.truncation else math.nan,
+                has_goal=o.goal is not None,
             )
             for o in problem.objectives
         ],
         constraints=constraint_messages(problem),
         observables=[msg.Observable(name=o.name, unit=o.unit) for o in problem.observables],
+        limits=limit_messages(problem.limits),
     )
 
 

@@ -58,7 +58,18 @@ QUANTITY_PARAMETERS = tuple(
             "number > 0, none",
             "Step of its grid: only multiples of the step, counted from 0, are suggested.",
         ),
-        ("variables", "choices", "list of numbers, none", "Only values that are suggested."),
+        (
+            "variables",
+            "choices",
+            "list of numbers or of names, none",
+            "Only values that are suggested; names have no order.",
+        ),
+        (
+            "variables",
+            "values",
+            "list of numbers, 0 1 2 ...",
+            "Numbers that the machine takes for the names of choices, in the same order.",
+        ),
         (
             "variables",
             "scale",
@@ -68,7 +79,7 @@ QUANTITY_PARAMETERS = tuple(
         (
             "variables",
             "fixed",
-            "number or present, none",
+            "number, name of a choice or present, none",
             "Only value that is suggested; present = where the machine is at the start of a run.",
             True,
         ),
@@ -118,6 +129,13 @@ QUANTITY_PARAMETERS = tuple(
             "truncation",
             "two numbers [A, B], none",
             "Side of the truncation box, which contains the reference.",
+            True,
+        ),
+        (
+            "objectives",
+            "goal",
+            "number, none",
+            "Value that is good enough, in place of a truncation box: improvement beyond it counts nothing.",
             True,
         ),
         ("objectives", "invalid", "list of numbers, empty", _INVALID),
@@ -236,7 +254,7 @@ def _is_unset(value: Any) -> bool:
 
 
 def _descriptor(name: str) -> ParameterDescriptor:
-    section, *_, leaf = name.split(".")
+    section, _, leaf = _parts(name)
     known = _BY_NAME.get((section, leaf))
     if section == "limits" and known is None:
         known = _BY_NAME["limits", "VARIABLE"]
@@ -248,6 +266,19 @@ def _descriptor(name: str) -> ParameterDescriptor:
     )
 
 
+def _parts(name: str) -> tuple[str, str, str]:
+    """Return section, quantity and last part of a parameter's name; names of quantities may have dots.
+
+    The last part has none, but in a limit, where it is the name of a variable and that of the limit has none.
+    """
+    section, _, rest = name.partition(".")
+    if section == "limits":
+        quantity, _, leaf = rest.partition(".")
+    else:
+        quantity, _, leaf = rest.rpartition(".")
+    return section, quantity, leaf
+
+
 def _plain(value: Any) -> Any:
     """Return a parameter's value without the array types of rclpy."""
     return list(value) if hasattr(value, "tolist") else value
@@ -257,12 +288,10 @@ def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the mapping that a file would hold; what has only unset entries is still named."""
     nested: dict[str, Any] = {}
     for name, value in values.items():
-        branch = nested
-        *path, leaf = name.split(".")
-        for part in path:
-            branch = branch.setdefault(part, {})
-            if not isinstance(branch, dict):
-                raise ProblemError(f"'{name}' stands below a value")
+        section, quantity, leaf = _parts(name)
+        if not quantity or not leaf:
+            raise ProblemError(f"'{name}' is not a parameter of a quantity in '{section}'")
+        entry = nested.setdefault(section, {}).setdefault(quantity, {})
         if not _is_unset(value):
-            branch[leaf] = value
+            entry[leaf] = value
     return nested

@@ -13,6 +13,7 @@ from std_msgs.msg import Float64, Header
 
 from mobo_msgs_py import msg
 from mobo_tuner.core.problem import Problem
+from mobo_tuner.names import topic_token
 from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.waiting import STEADY_CLOCK
 
@@ -59,7 +60,7 @@ class TunerTopics:
                 "suggest_seconds",
             ]
         )
-        self._plots = {name: interfaces.PLOT.publisher(node, name) for name in names}
+        self._plots = {n: interfaces.PLOT.publisher(node, topic_token(n)) for n in names}
         self.status = Status(node)
         self.heartbeat = Heartbeat(node, client_timeout)
 

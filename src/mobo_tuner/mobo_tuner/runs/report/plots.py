@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
 from mobo_tuner.core.pareto import is_nondominated
-from mobo_tuner.core.problem import Array, Objective, Problem
+from mobo_tuner.core.problem import Array, Objective, Problem, Variable
 from mobo_tuner.core.units import product_of_units
 from mobo_tuner.runs.recorded_run import RecordedRun
 from mobo_tuner.runs.report.figures import staircase
@@ -78,7 +79,12 @@ def parallel_coordinates(run: RecordedRun, recommended: Sequence[Recommendation]
         )
     ]
     axes += [
-        Axis(v.minimum, v.maximum, f"{v.name} [{v.unit}]" if v.unit else v.name)
+        Axis(
+            v.minimum,
+            v.maximum,
+            f"{v.name} [{v.unit}]" if v.unit else v.name,
+            named=_choices(v),
+        )
         for v in problem.variables
     ]
     plot = ParallelAxes(axes[:_MOST_AXES])
@@ -110,7 +116,10 @@ def trajectories(run: RecordedRun) -> list[Plot]:
         shown = [*bounds.ravel(), *values, variable.minimum, variable.maximum]
         plot = Plot(
             _indices(run),
-            Axis.around(shown, f"[{variable.unit}]" if variable.unit else ""),
+            replace(
+                Axis.around(shown, f"[{variable.unit}]" if variable.unit else ""),
+                named=_choices(variable),
+            ),
             name,
             SMALL,
         )
@@ -120,6 +129,11 @@ def trajectories(run: RecordedRun) -> list[Plot]:
         _kinds(plot, run, values)
         plots.append(plot)
     return plots
+
+
+def _choices(variable: Variable) -> list[tuple[float, str]]:
+    """Return the choices of a variable with their names, if they have names."""
+    return list(zip(variable.choices, variable.choice_names, strict=False))
 
 
 def constraints(run: RecordedRun) -> list[Plot]:
@@ -176,7 +190,7 @@ def point_title(run: RecordedRun, row: int, names: Sequence[str] = ()) -> str:
     point, units = run.pareto_front[row], run.problem.units
     shown: Mapping[str, float] = point["objectives"] | ({} if names else point["setpoint"])
     texts = [
-        f"{name} = {value:.4g} {units.get(name, '')}".rstrip()
+        f"{name} = {run.problem.shown(name, value, 4)} {units.get(name, '')}".rstrip()
         for name, value in shown.items()
         if not names or name in names
     ]

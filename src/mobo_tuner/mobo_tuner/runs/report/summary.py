@@ -58,6 +58,7 @@ def summarize(run: RecordedRun) -> dict[str, Any]:
                 "objectives": _finite_values(point["objectives"]),
                 "stddevs": _finite_values(point["stddevs"]),
             }
+            | ({"chosen": chosen} if (chosen := run.problem.chosen(point["setpoint"])) else {})
             for point in run.pareto_front
         ],
     }

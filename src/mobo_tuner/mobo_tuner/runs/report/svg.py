@@ -36,12 +36,14 @@ class Axis:
         low, high: Its ends; they are widened if they are equal.
         label: What it shows, with its unit.
         integer: Whether only integers get a tick.
+        named: Places of the only ticks, with their texts; empty = ticks at round numbers.
     """
 
     low: float
     high: float
     label: str = ""
     integer: bool = False
+    named: Sequence[tuple[float, str]] = ()
 
     def __post_init__(self) -> None:
         """Keep the ends, and so their distance, finite."""
@@ -64,6 +66,8 @@ class Axis:
 
     def ticks(self, count: int) -> tuple[list[tuple[float, str]], str]:
         """Return positions and texts of about `count` ticks, and the power of ten that they share."""
+        if self.named:
+            return list(self.named), ""
         low, high = self.low, self.high
         raw = (high - low) / max(count, 1)
         step = 10.0 ** math.floor(math.log10(raw)) if raw > 0.0 else 1.0
