@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import approx_fprime
 
 from mobo_tuner.core import Optimizer, Problem, ProblemError
-from mobo_tuner.core.gaussian_process import GaussianProcess
+from mobo_tuner.core.gaussian_process import GaussianProcess, GaussianProcessSettings
 from mobo_tuner.core.prior_mean import PriorMeans, SmoothPriorModel
 from mobo_tuner.core.problem import Array
 
@@ -132,6 +132,8 @@ def test_offset_and_scale_of_a_good_prior_are_learned(
     new = np.random.default_rng(3).uniform(-1.0, 1.0, (200, 3))
     model = GaussianProcess(mean=mean).fit(x, truth(x))
     assert model.model == name
+    logarithmic = GaussianProcess(GaussianProcessSettings(transform="log"), mean=mean)
+    assert logarithmic.fit(x, truth(x)).model == name
     plain = GaussianProcess().fit(x, truth(x))
     error, without = (np.abs(m.predict(new)[0] - truth(new)).max() for m in (model, plain))
     assert error < 0.2

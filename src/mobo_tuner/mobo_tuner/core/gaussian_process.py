@@ -614,7 +614,7 @@ class GaussianProcess:
             if offset is None or offset > 0.0
             for log in (None if offset is None else np.log(offset),)
         ]
-        return logs if logs and settings.transform == "log" else given + plain + logs
+        return given + (logs if logs and settings.transform == "log" else plain + logs)
 
 
 def _hyperparameters(values: object, kernel: Kernel) -> FloatArray:
