@@ -147,22 +147,23 @@ class CandidateSearch:
         number of evaluations, and may be worth as much as all that was found before: it is chosen if the
         candidate promises less. It is chosen at every second evaluation, too, while the front does not
         move: then the models promise too much. With one objective, or weights, the best point is sought
-        to the last digit, and nothing is explored.
+        to the last digit, and nothing is explored; nor where readings are noisy, or a reference point is
+        out of reach, which is approached first.
         """
-        chance, n = self._settings.exploration, len(self._data)
-        if (
-            chance == 0.0
-            or len(self._problem.objectives) == 1
-            or self._settings.weights is not None
-        ):
+        chance, n, belief = self._settings.exploration, len(self._data), self._archive.belief
+        single = len(self._problem.objectives) == 1 or self._settings.weights is not None
+        if chance == 0.0 or single or not self._models.trusts_readings(self._data):
             return False
-        promised = self.expected_gain(found)  # NaN while nothing is better than the reference point
-        if promised < chance / n:
-            return True
+        front = belief.front_rows()
+        if belief.feasible.any():
+            if not len(front):
+                return False
+            if self.expected_gain(found) < chance / n:
+                return True
         last = n - self._archive.expected - _PATIENCE
-        if n % 2 or last < self._archive.initial_evaluations:
-            return False
-        return not (self._archive.belief.front_rows() >= last).any()
+        return (
+            n % 2 == 0 and last >= self._archive.initial_evaluations and not (front >= last).any()
+        )
 
     def _unconfirmed(self) -> Array | None:
         """Return a point beside a suspected reading that is better than believed, shape ``(d,)``.
