@@ -154,7 +154,7 @@ def check_problem(problem: Problem, seed: int, proximal: bool) -> None:
         return
     if seed % 4 == 1:
         warm_start(optimizer, seed)
-    distinct = len(problem.domain.points()) if problem.domain.size <= 16 else math.inf
+    distinct = len(problem.domain.points()) if problem.domain.size <= 1000 else math.inf
     asked: list[tuple[float, ...]] = []
     while len(asked) < 4 + AFTER_THE_DESIGN:
         setpoint = optimizer.ask()

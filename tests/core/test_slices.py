@@ -25,7 +25,7 @@ def truth(a: float, b: float) -> dict[str, float]:
 
 @pytest.fixture(scope="module")
 def optimizer() -> Optimizer:
-    optimizer = Optimizer(PROBLEM, seed=2, initial_evaluations=12)
+    optimizer = Optimizer(PROBLEM, seed=2, initial_evaluations=12, exploration=0.0)
     for _ in range(16):
         x = optimizer.ask()
         optimizer.tell(x, truth(**x))

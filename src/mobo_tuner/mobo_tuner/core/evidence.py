@@ -24,6 +24,7 @@ from mobo_tuner.core.training import (
 _STEPS = 30  # of a training
 _NEGLIGIBLE_NOISE = float(np.log(1e-5))  # variance, as a share of that of the outputs
 _NOISE_LEVELS = np.log([3e-4, 3e-3, 3e-2, 3e-1])  # the same, to look at first
+_PLATEAU = 0.25  # share of readings that are alike from which on noise is not plain to see
 _LEAST_FOR_DRIFT = 8  # observations that say anything of time
 _TIME_SCALES = np.log([0.2, 1.0, 5.0])  # to look at first, in the unit of time
 
@@ -95,8 +96,11 @@ def noise_evidence(
     free[-1] = False
     noiseless_best, without = train_lbfgs(objective, noiseless, bounds, free, tolerance, _STEPS)
     gain = _gain(objective, noisy_best, objective, noiseless_best)
+    # Readings that are exactly alike in many places are those of a plateau, not of noise.
+    alike = np.unique(z, return_counts=True)[1].max() > _PLATEAU * len(z)
     return NoiseEvidence(
-        min(n * (without - learned) - penalty, gain), bool(noisy_best[-1] >= CLEAR_NOISE)
+        min(n * (without - learned) - penalty, gain),
+        bool(noisy_best[-1] >= CLEAR_NOISE and not alike),
     )
 
 
