@@ -31,6 +31,7 @@ _WORKERS = 4
 _TIMEOUT = 120.0  # [s] for the next evaluations
 _SETTLED = 0.5  # [s] after its end in which a simulation may not be in the journal yet
 _MANAGERS = 0.5  # share of the kills
+# A simulation that takes as long as it says: how long is part of what is tried.
 _PROGRAM = """
 import json, math, random, sys, time
 x = json.load(sys.stdin)
@@ -100,7 +101,7 @@ class KilledCampaign:
         while len(self.evaluations()) < count:
             if self._process.poll() is not None or time.monotonic() > deadline:
                 raise RuntimeError(f"no further evaluation after {len(self.evaluations())}")
-            time.sleep(0.02)
+            time.sleep(0.02)  # between two looks, until the deadline
 
     def kill(self) -> str:
         """Let some evaluations be made, and kill something; return what it was."""

@@ -45,7 +45,7 @@ TUNER = ("drift:=auto", "initial_evaluations:=16", "on_abort:=restore", "acquisi
 
 
 class Operator:
-    """Whoever works at the machine: clears its interlocks, and counts what was seen.
+    """An operator of the machine, who clears its interlocks and counts what was seen.
 
     Attributes:
         interlocks: Number of interlocks that were cleared.

@@ -159,7 +159,7 @@ def test_a_constraint_that_is_surely_met_is_not_doubted_and_noise_is_told_as_suc
         optimizer.ask()
         return optimizer.hints()
 
-    [hint] = told(0.01, math.nan)  # the limit of u is amid its readings
+    [hint] = told(0.01, math.nan)  # some readings of u meet its limit
     assert "predicts u badly" in hint
     assert told(0.01, 0.01) == []
     noisy = Optimizer(problem({"f": {"reference": 99.0}, "g": {"reference": 99.0}}), seed=1)

@@ -235,9 +235,9 @@ class Models:
         if count == 0 or (count == self._count(data, self._held) and not self._outdated):
             return False
         patience = self._refit_every or 1 + self._trained // 25
-        anew = self._trained == 0 or self._outdated
-        surprised = not anew and self.is_surprised(data)
-        train = anew or surprised or count - self._trained >= patience
+        is_first = self._trained == 0 or self._outdated
+        surprised = not is_first and self.is_surprised(data)
+        train = is_first or surprised or count - self._trained >= patience
         restarts = None if self._outdated or _is_time_to_restart(self._trained, count) else 0
         trained = self._learn(data, train, restarts, look=surprised)
         self._outdated = False
