@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from mobo_tuner.core import Optimizer, Problem, ProblemError
+from mobo_tuner.core.context_kernel import Contextual
 from mobo_tuner.core.dataset import Dataset
 from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
-from mobo_tuner.core.kernels import KERNELS, Contextual
+from mobo_tuner.core.kernels import KERNELS
 
 REFERENCE = 4.3
 PROBLEM = Problem.from_dict(

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from mobo_tuner.core.context_kernel import LONGEST_CONTEXT_SCALE
 from mobo_tuner.core.dataset import Dataset
-from mobo_tuner.core.kernels import LONGEST_CONTEXT_SCALE
 from mobo_tuner.core.problem import Array
 from mobo_tuner.core.quantities import Context
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from copy import copy
 from typing import Any, NamedTuple
@@ -10,22 +9,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mobo_tuner.core.context_kernel import Contextual
 from mobo_tuner.core.evidence import NoiseEvidence, drift_evidence, noise_evidence
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
-from mobo_tuner.core.kernels import Contextual, Kernel, as_inputs
+from mobo_tuner.core.kernels import Kernel, as_inputs
 from mobo_tuner.core.linear_algebra import FloatArray, single_blas_thread
 from mobo_tuner.core.one_hot import OneHot
-from mobo_tuner.core.output_scaling import OutputScaling, has_heavy_tail, is_constant
+from mobo_tuner.core.output_scaling import LARGEST_OUTPUT, OutputScaling, is_constant
 from mobo_tuner.core.posterior import Gradients, Posterior
+from mobo_tuner.core.scaling_choice import ScalingChoice
 from mobo_tuner.core.training import train
 
 __all__ = ["GaussianProcess", "GaussianProcessSettings", "LeaveOneOut", "Prediction"]
-
-_LARGEST_OUTPUT = 1e100
-_CLEARLY_BETTER = 3.0
-_FUNCTION, _SCALED = "function", "scaled function"  # prior means that are given
-_LEAST_SCALED = 5  # observations from which on a factor is learned
-_HANDICAPS = {_SCALED: 1.0}  # of the log density, for what an offset does not have: a factor
 
 
 class Prediction(NamedTuple):
@@ -96,7 +91,6 @@ class GaussianProcess:
 
     Attributes:
         settings: Settings of the model.
-        reference: Component of the reference point; None if there is none.
         contexts: Number of the last inputs that nobody sets.
         now: Their values for predictions `(contexts,)`, in the units of the inputs.
 
@@ -118,14 +112,7 @@ class GaussianProcess:
         self.contexts = contexts
         self._one_hot = one_hot
         self.now = np.zeros(contexts)
-        if mean is None and mean_gradient is not None:
-            raise ValueError("mean_gradient needs a mean function")
-        self._mean, self._mean_gradient = mean, mean_gradient
-        if reference is not None and not math.isfinite(reference):
-            raise ValueError(f"reference must be finite, got {reference}")
-        if reference is None and mean is None and self.settings.mean == "reference":
-            raise ValueError("reference must be given with mean='reference'")
-        self.reference = None if reference is None else float(reference)
+        self._choice = ScalingChoice(self.settings, reference, mean, mean_gradient)
         self._trained: dict[str, FloatArray] = {}
         self._state: _State | None = None
 
@@ -172,7 +159,7 @@ class GaussianProcess:
         part = slice(None, None, -(-len(outputs) // (most_trained or len(outputs))))
         states = []
         with single_blas_thread():
-            scalings = self._scalings(inputs, outputs)
+            scalings = self._choice.allowed(inputs, outputs)
             begin = time.monotonic()
             for i, (name, scaling) in enumerate(scalings):
                 parameters = train(
@@ -194,11 +181,8 @@ class GaussianProcess:
         scores = []
         for state in states if len(states) > 1 else ():
             self._state = state
-            scores.append(
-                self.leave_one_out().log_density.sum()
-                - _CLEARLY_BETTER * state.model.scaling.log
-                - _HANDICAPS.get(state.model.name, 0.0)
-            )
+            density = self.leave_one_out().log_density.sum()
+            scores.append(self._choice.score(state.model.name, state.model.scaling, density))
         self._state = states[int(np.argmax(scores))] if scores else states[0]
         return self
 
@@ -348,8 +332,8 @@ class GaussianProcess:
         model = GaussianProcess(
             self.settings,
             self.reference,
-            mean=self._mean,
-            mean_gradient=self._mean_gradient,
+            mean=self._choice.mean,
+            mean_gradient=self._choice.mean_gradient,
             contexts=self.contexts,
             one_hot=self._one_hot,
         )
@@ -357,6 +341,11 @@ class GaussianProcess:
         return model
 
     # What was learned.
+
+    @property
+    def reference(self) -> float | None:
+        """Component of the reference point; None if there is none."""
+        return self._choice.reference
 
     @property
     def n(self) -> int:
@@ -440,7 +429,7 @@ class GaussianProcess:
         state: dict[str, Any] = {
             "settings": self.settings.to_dict(),
             "reference": self.reference,
-            "mean_function": self._mean is not None,
+            "mean_function": self._choice.mean is not None,
             "contexts": self.contexts,
             "trained": {name: parameters.tolist() for name, parameters in self._trained.items()},
             "fitted": None,
@@ -451,11 +440,7 @@ class GaussianProcess:
                 "d": self._d,
                 "model": model.name,
                 "parameters": model.parameters.tolist(),
-                "log": model.scaling.log,
-                "offset": model.scaling.offset,
-                "scale": model.scaling.scale,
-                "factor": model.scaling.factor,
-                "low": model.scaling.low if model.scaling.log else None,
+                **model.scaling.get_state(),
                 "factorised": posterior.factorised,
             }
         return state
@@ -513,21 +498,7 @@ class GaussianProcess:
             raise ValueError(
                 f"x must have at least the {m} observations of the state, got {len(outputs)}"
             )
-        if not (abs(fitted["offset"]) <= _LARGEST_OUTPUT and 0.0 < fitted["scale"] < np.inf):
-            raise ValueError(f"offset is {fitted['offset']}, scale {fitted['scale']}")
-        by_function = fitted["model"] in (_FUNCTION, _SCALED)
-        factor = float(fitted.get("factor", 1.0))
-        if not abs(factor) <= _LARGEST_OUTPUT:
-            raise ValueError(f"factor is {factor}")
-        scaling = OutputScaling(
-            bool(fitted["log"]),
-            float(fitted["offset"]),
-            float(fitted["scale"]),
-            mean if by_function else None,
-            mean_gradient if by_function else None,
-            factor,
-            math.inf if fitted.get("low") is None else float(fitted["low"]),
-        )
+        scaling = restored._choice.restored(fitted["model"], fitted)
         model = _Model(fitted["model"], scaling, _hyperparameters(fitted["parameters"], kernel))
         with single_blas_thread():
             restored._state = restored._condition(kernel, model, inputs[:m], outputs[:m], noise[:m])
@@ -580,42 +551,6 @@ class GaussianProcess:
         fixed = 0.0 if isinstance(self.settings.noise, str) else self.settings.noise
         return scaling.noise_variances(y, np.hypot(stddev, fixed))
 
-    def _scalings(self, x: FloatArray, y: FloatArray) -> list[tuple[str, OutputScaling]]:
-        """Return the scalings of these outputs that the settings allow, by name; at least one."""
-        settings, reference = self.settings, self.reference
-        given: list[tuple[str, OutputScaling]] = []
-        if self._mean is not None:
-            kinds = ((_FUNCTION, False), (_SCALED, True))
-            for name, scaled in kinds if len(y) >= _LEAST_SCALED else kinds[:1]:
-                scaling = OutputScaling.of(
-                    x, y, mean=self._mean, mean_gradient=self._mean_gradient, scaled=scaled
-                )
-                given.append((name, scaling))
-            if given[0][1].explains(x, y):
-                return given[:1]
-        offsets: dict[str, float | None]
-        if settings.mean == "auto":
-            offsets = {"data": None}
-            if reference is not None and not (len(y) > 1 and is_constant(y)):
-                offsets["reference"] = reference
-        elif isinstance(settings.mean, str):
-            offsets = {settings.mean: None if settings.mean == "data" else reference}
-        else:
-            offsets = {"constant": float(settings.mean)}
-        plain = [(name, OutputScaling.of(x, y, offset=offset)) for name, offset in offsets.items()]
-        if not (y > 0.0).all() or settings.transform == "none":
-            return given + plain
-        if settings.transform == "auto" and not has_heavy_tail(y):
-            return given + plain
-        low = float(np.log(y.min()))
-        logs = [
-            (f"{name} log", OutputScaling.of(x, y, offset=log, log=True, low=low))
-            for name, offset in offsets.items()
-            if offset is None or offset > 0.0
-            for log in (None if offset is None else np.log(offset),)
-        ]
-        return given + (logs if logs and settings.transform == "log" else plain + logs)
-
 
 def _hyperparameters(values: object, kernel: Kernel) -> FloatArray:
     """Return the hyperparameters `(k + 2,)` of a state."""
@@ -635,14 +570,14 @@ def _checked_data(
         raise ValueError(
             f"y must have one value for each of {len(inputs)} rows of x, got shape {outputs.shape}"
         )
-    if not (np.abs(outputs) <= _LARGEST_OUTPUT).all():
+    if not (np.abs(outputs) <= LARGEST_OUTPUT).all():
         raise ValueError(
-            f"y must be finite and at most {_LARGEST_OUTPUT:g} in magnitude, got {outputs}"
+            f"y must be finite and at most {LARGEST_OUTPUT:g} in magnitude, got {outputs}"
         )
     noise = np.zeros_like(outputs) if stddev is None else np.array(stddev, dtype=np.float64)
     if noise.shape != outputs.shape:
         raise ValueError(f"stddev must have the shape {outputs.shape} of y, got {noise.shape}")
     noise[np.isnan(noise)] = 0.0
-    if not ((noise >= 0.0) & (noise <= _LARGEST_OUTPUT)).all():
+    if not ((noise >= 0.0) & (noise <= LARGEST_OUTPUT)).all():
         raise ValueError(f"stddev must be at least 0 and finite, or NaN where unknown, got {noise}")
     return inputs, outputs, noise

@@ -9,7 +9,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from mobo_tuner.core.kernels import KERNELS, Contextual, Kernel
+from mobo_tuner.core.context_kernel import Contextual
+from mobo_tuner.core.kernels import KERNELS, Kernel
 from mobo_tuner.core.linear_algebra import FloatArray
 from mobo_tuner.core.values import LARGEST
 from mobo_tuner.errors import ParameterError

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 
 from mobo_tuner.core.gaussian_process_settings import MeanFunction
 from mobo_tuner.core.linear_algebra import FloatArray
 
+LARGEST_OUTPUT = 1e100
+"""Largest magnitude of an output."""
 _ROUNDING = 1e-12
 _EXACT = 1e-9
 _GRADIENT_STEP = 1e-5
@@ -108,6 +112,39 @@ class OutputScaling:
             if scale > max(negligible, _SMALLEST_SCALE):
                 return replace(unscaled, scale=scale)
         return replace(unscaled, scale=1.0 / len(y))
+
+    def get_state(self) -> dict[str, Any]:
+        """Return what `from_state` needs beside the prior mean, as data for JSON."""
+        return {
+            "log": self.log,
+            "offset": self.offset,
+            "scale": self.scale,
+            "factor": self.factor,
+            "low": self.low if self.log else None,
+        }
+
+    @classmethod
+    def from_state(
+        cls,
+        state: Mapping[str, Any],
+        mean: MeanFunction | None,
+        mean_gradient: MeanFunction | None,
+    ) -> Self:
+        """Return the scaling that `get_state` came from, given its prior mean again.
+
+        Raises:
+            ValueError: If a number is out of range.
+        """
+        offset, scale = state["offset"], state["scale"]
+        if not (abs(offset) <= LARGEST_OUTPUT and 0.0 < scale < np.inf):
+            raise ValueError(f"offset is {offset}, scale {scale}")
+        factor = float(state.get("factor", 1.0))
+        if not abs(factor) <= LARGEST_OUTPUT:
+            raise ValueError(f"factor is {factor}")
+        low = math.inf if state.get("low") is None else float(state["low"])
+        return cls(
+            bool(state["log"]), float(offset), float(scale), mean, mean_gradient, factor, low
+        )
 
     def prior_mean(self, x: FloatArray) -> FloatArray:
         """Return the prior mean m(x) `(m,)` at x `(m, d)`, in units of t(y)."""
