@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mobo_tuner.core import Optimizer, Problem, ProblemError
+from mobo_tuner.core import Optimizer, Problem, ProblemError, batch
+from mobo_tuner.core.batch import Pending
 from mobo_tuner.core.resolution import SAME
 from tests.core.toy_runs import TOY, toy, with_changes
 
@@ -55,12 +56,34 @@ def test_pending_setpoints_are_asked_once(told: int) -> None:
     tuned = run(optimizer(), told, 1)
     batch = tuned.ask(5)
     assert tuned.pending == batch
+    assert tuned.last_sources == ["initial" if told + i < INITIAL else "model" for i in range(5)]
     single = tuned.ask()
     assert tuned.ask() == single
     further = tuned.ask(4)
     assert further[0] == single
     assert tuned.pending == batch + further
     assert are_distinct(batch + further + [dict(e.setpoint) for e in tuned.dataset.evaluations])
+
+
+def test_many_pending_setpoints_are_expected_at_once_with_the_same_result(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tuned = run(optimizer(), INITIAL + 6, 1)
+    many = tuned.ask(24)
+    x1, x2 = np.random.default_rng(0).uniform(-2.0, 2.0, (2, 50))
+    points = np.column_stack([x1, x2]) / 2.0
+
+    def expected() -> tuple[dict[str, float], np.ndarray]:
+        archive = Pending(many)._expected(tuned.archive)
+        predictions = [p.predict(points) for p in archive.models.by_output.values()]
+        return tuned.ask(), np.array(predictions)
+
+    at_once, predicted = expected()
+    monkeypatch.setattr(batch, "_FEW", 24)
+    one_by_one, same = expected()
+    assert predicted == pytest.approx(same, rel=1e-6, abs=1e-6)
+    assert at_once == pytest.approx(one_by_one, abs=1e-4)
+    assert tuned.last_sources == ["model"]
 
 
 def test_a_setpoint_is_pending_until_it_was_told_or_cancelled() -> None:

@@ -159,22 +159,26 @@ def test_add_gives_the_numbers_of_a_rebuild(name, noise):
     choice = GaussianProcessSettings(kernel=name, noise=noise)
     added = GaussianProcess(choice).fit(x[:12], y[:12], stddev[:12])
     rebuilt = GaussianProcess.from_state(added.get_state(), x[:12], y[:12], stddev[:12])
+    at_once = added.copy().add_all(x[12:], y[12:], stddev[12:])
     for i in range(12, 30):
         added.add(x[i], y[i], stddev[i])
     rebuilt.condition(x, y, stddev)
-    assert added.n == rebuilt.n == 30
-    for got, expected in zip(
-        added.predict_with_gradient(new), rebuilt.predict_with_gradient(new), strict=True
-    ):
-        np.testing.assert_allclose(got, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
-    assert added.log_marginal_likelihood == pytest.approx(rebuilt.log_marginal_likelihood, rel=1e-5)
+    expected = rebuilt.predict_with_gradient(new)
+    for model in (added, at_once):
+        assert model.n == rebuilt.n == 30
+        for a, b in zip(model.predict_with_gradient(new), expected, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5 * np.abs(b).max())
+        likelihood = pytest.approx(rebuilt.log_marginal_likelihood, rel=1e-5)
+        assert model.log_marginal_likelihood == likelihood
 
 
 def test_add_of_duplicates():
     x, y, new = sample(10)
     model = GaussianProcess(GaussianProcessSettings(noise=0.0, minimum_noise=1e-14)).fit(x, y)
+    at_once = model.copy().add_all(x[[3] * 30], y[[3] * 30])
     for _ in range(30):
         model.add(x[3], y[3])
+    np.testing.assert_allclose(at_once.predict(new)[0], model.predict(new)[0], rtol=1e-3)
     assert np.isfinite(model.predict_with_gradient(new)[2]).all()
     np.testing.assert_allclose(model.predict(x[3:4])[0], y[3], rtol=1e-6)
 

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -79,11 +79,23 @@ class Bench:
     def evaluations(self, name: str) -> list[dict[str, Any]]:
         return [record for record in self.journal(name) if record["type"] == "evaluation"]
 
-    def wait_for(self, name: str, evaluations: int) -> None:
+    def wait_until(self, condition: Callable[[], bool]) -> None:
         deadline = time.monotonic() + TIMEOUT
-        while len(self.evaluations(name)) < evaluations:
+        while not condition():
             assert time.monotonic() < deadline
             time.sleep(0.05)
+
+    def wait_for(self, name: str, evaluations: int) -> None:
+        self.wait_until(lambda: len(self.evaluations(name)) >= evaluations)
+
+    def simulating(self) -> list[str]:
+        """Process ids of the simulations."""
+        words = ["pgrep", "-f", str(self.folder / "program.py")]
+        found = subprocess.run(words, capture_output=True, text=True, timeout=TIMEOUT, check=False)
+        return found.stdout.split()
+
+    def wait_until_none_simulates(self) -> None:
+        self.wait_until(lambda: not self.simulating())
 
 
 @pytest.fixture
@@ -133,11 +145,14 @@ def test_a_signal_ends_it_and_its_simulations(bench: Bench) -> None:
     process.communicate(timeout=TIMEOUT)
     assert process.returncode == 128 + signal.SIGTERM
     assert bench.journal("one")[-1]["stop_reason"] == "canceled"
-    pattern = str(bench.folder / "program.py")
-    deadline = time.monotonic() + TIMEOUT
-    while subprocess.run(["pgrep", "-f", pattern], capture_output=True, check=False).stdout:
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    bench.wait_until_none_simulates()
+
+
+def test_its_simulations_end_with_it_when_it_is_killed(bench: Bench) -> None:
+    process = bench.start("one", "--config", bench.config(pause=600.0, timeout=900.0))
+    bench.wait_until(lambda: len(bench.simulating()) == 3)
+    process.kill()
+    bench.wait_until_none_simulates()
 
 
 @pytest.mark.parametrize(

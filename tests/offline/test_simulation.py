@@ -8,6 +8,7 @@ import os
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -18,25 +19,37 @@ from mobo_tuner.offline.simulation import Simulation
 TIMEOUT = 20.0
 
 
-def simulation(folder: Path, program: str, timeout: float = TIMEOUT) -> Simulation:
-    """A simulation by a Python program, to which the point is known as x."""
-    script = folder / "program.py"
-    script.write_text(f"import json, os, sys, time\nx = json.load(sys.stdin)\n{program}\n")
-    return Simulation(f"python {script}", timeout, folder / "simulations")
+Make = Callable[..., Simulation]
 
 
-def test_the_last_line_has_the_outputs(tmp_path: Path) -> None:
+@pytest.fixture
+def simulation(tmp_path: Path) -> Iterator[Make]:
+    """Makes a simulation by a Python program, to which the point is known as x."""
+    made: list[Simulation] = []
+
+    def make(program: str, timeout: float = TIMEOUT) -> Simulation:
+        script = tmp_path / "program.py"
+        script.write_text(f"import json, os, sys, time\nx = json.load(sys.stdin)\n{program}\n")
+        made.append(Simulation(f"python {script}", timeout, tmp_path / "simulations"))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.stop()
+
+
+def test_the_last_line_has_the_outputs(simulation: Make) -> None:
     program = "print('words'); print(json.dumps({'f': 2 * x['x'], 'g': None, 'h': 1}))"
-    outcome = simulation(tmp_path, program).run(3, {"x": 0.5})
+    outcome = simulation(program).run(3, {"x": 0.5})
     assert outcome.error == ""
     assert outcome.outputs["f"] == 1.0
     assert math.isnan(outcome.outputs["g"])
     assert 0.0 < outcome.seconds < TIMEOUT
 
 
-def test_each_has_a_folder_in_which_its_files_stay(tmp_path: Path) -> None:
+def test_each_has_a_folder_in_which_its_files_stay(simulation: Make, tmp_path: Path) -> None:
     program = "open('beam', 'w').write(sys.executable); print('{}')"
-    simulation(tmp_path, program).run(12, {"x": 0.5})
+    simulation(program).run(12, {"x": 0.5})
     [folder] = (tmp_path / "simulations").iterdir()
     assert folder.name == "000012"
     assert (folder / "beam").read_text() == sys.executable
@@ -56,17 +69,17 @@ def test_each_has_a_folder_in_which_its_files_stay(tmp_path: Path) -> None:
         ("print(json.dumps({'f': True}))", "'f'"),
     ],
 )
-def test_what_goes_wrong_is_said(tmp_path: Path, program: str, words: str) -> None:
-    outcome = simulation(tmp_path, program).run(0, {"x": 0.5})
+def test_what_goes_wrong_is_said(simulation: Make, program: str, words: str) -> None:
+    outcome = simulation(program).run(0, {"x": 0.5})
     assert words in outcome.error
     assert outcome.outputs == {}
 
 
-def test_what_takes_too_long_is_killed_with_its_children(tmp_path: Path) -> None:
+def test_what_takes_too_long_is_killed_with_its_children(simulation: Make, tmp_path: Path) -> None:
     program = (
         f"pid = os.fork(); open('{tmp_path}/pids', 'a').write(f'{{os.getpid()}} '); time.sleep(60)"
     )
-    outcome = simulation(tmp_path, program, timeout=1.0).run(0, {"x": 0.5})
+    outcome = simulation(program, timeout=1.0).run(0, {"x": 0.5})
     assert "1 s" in outcome.error
     pids = [int(word) for word in (tmp_path / "pids").read_text().split()]
     assert len(pids) == 2
@@ -76,8 +89,8 @@ def test_what_takes_too_long_is_killed_with_its_children(tmp_path: Path) -> None
         time.sleep(0.02)
 
 
-def test_a_stop_ends_what_runs_and_starts_nothing_more(tmp_path: Path) -> None:
-    made = simulation(tmp_path, f"open('{tmp_path}/started', 'w').close(); time.sleep(60)")
+def test_a_stop_ends_what_runs_and_starts_nothing_more(simulation: Make, tmp_path: Path) -> None:
+    made = simulation(f"open('{tmp_path}/started', 'w').close(); time.sleep(60)")
     errors: list[str] = []
     thread = threading.Thread(target=lambda: errors.append(made.run(0, {"x": 0.5}).error))
     thread.start()
@@ -101,11 +114,12 @@ def test_a_command_that_cannot_be_is_refused_by_name(tmp_path: Path, command: st
 def test_the_injector_s_simulation_answers(tmp_path: Path) -> None:
     point = {"K1": 475.0, "K2": 230.0, "phi1": -5.0, "phi2": -5.0, "G1": 67.5, "G2": 20.0}
     made = Simulation("python -m awa_sim_node.simulation evaluate", 120.0, tmp_path)
-    beam = made.run(0, point)
+    beam, lost = made.run(0, point), made.run(1, point | {"K1": math.inf})
+    made.stop()
     assert beam.error == ""
     assert {"sigma_x", "eps_x", "dE", "transmission"} <= {*beam.outputs}
     assert beam.outputs["energy"] == pytest.approx(15.1, abs=0.1)
-    assert "K1" in made.run(1, point | {"K1": math.inf}).error
+    assert "K1" in lost.error
 
 
 def is_alive(pid: int) -> bool:
@@ -115,9 +129,9 @@ def is_alive(pid: int) -> bool:
         return False
 
 
-def test_a_point_goes_in_as_json(tmp_path: Path) -> None:
+def test_a_point_goes_in_as_json(simulation: Make, tmp_path: Path) -> None:
     point = {"a": 0.1, "b": -1e300}
-    outcome = simulation(tmp_path, "print(json.dumps(x))").run(0, point)
+    outcome = simulation("print(json.dumps(x))").run(0, point)
     assert outcome.outputs == point
     assert json.loads((tmp_path / "simulations" / "000000" / "output").read_text()) == point
     assert os.listdir(tmp_path / "simulations") == ["000000"]

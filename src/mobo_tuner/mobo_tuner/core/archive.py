@@ -105,8 +105,8 @@ class Archive:
         if trained and not (was_certain and self.is_certain):
             self._forget_belief()
 
-    def expecting(self, setpoint: Mapping[str, float]) -> Archive:
-        """Return an archive as if an evaluation at the set-point had read what the models predict.
+    def expecting(self, *setpoints: Mapping[str, float]) -> Archive:
+        """Return an archive as if evaluations at the set-points had read what the models predict.
 
         Its models have the hyperparameters of this one's last training. This archive is updated, and
         stays as it is otherwise.
@@ -115,9 +115,12 @@ class Archive:
             self.update()
             other = copy(self)
             other.dataset = self.dataset.copy()
-            predicted = self.models.predicted(self.problem.normalize(setpoint))
-            other.dataset.add(setpoint, predicted, failed=False)
-            other.expected += 1
+            points = np.array([self.problem.normalize(setpoint) for setpoint in setpoints])
+            predicted = self.models.predicted(points)
+            for row, setpoint in enumerate(setpoints):
+                read = {name: float(means[row]) for name, means in predicted.items()}
+                other.dataset.add(setpoint, read, failed=False)
+            other.expected += len(setpoints)
             other.models = self.models.expecting(other.dataset)
             other._forget_belief()
             if other.problem.has_references:

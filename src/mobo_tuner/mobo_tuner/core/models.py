@@ -184,10 +184,15 @@ class Models:
         """Return whether a reading counts as it is: the machine neither varies nor is noisy."""
         return not (self.varies or self._steadiness.is_noisy(data, self._processes))
 
-    def extended(self, data: Dataset) -> Models:
+    def extended(self, data: Dataset, at_once: bool = False) -> Models:
         """Return models that know all of `data`, with the hyperparameters of the last training.
 
         These models themselves stay as they are. Without a training so far, the new ones are trained.
+
+        Args:
+            data: Evaluations.
+            at_once: Whether what is new is learned at once and not one after the other, which changes the
+                models' rounding errors only.
         """
         if self._held == len(data) and self._trained:
             return self
@@ -196,16 +201,16 @@ class Models:
         other._processes = {name: p.copy() for name, p in self._processes.items()}
         other._suspects = dict(self._suspects)
         if self._trained and not self.is_surprised(data):
-            other._learn(data, train=False, restarts=0)
+            other._learn(data, train=False, restarts=0, at_once=at_once)
         else:
             other._judged = len(data)
             other.update(data)
         return other
 
-    def predicted(self, x: Array) -> dict[str, float]:
-        """Return the mean of every output that was measured at least once, at x ``(d,)``, in its unit."""
+    def predicted(self, x: Array) -> dict[str, Array]:
+        """Return the means ``(m,)`` of every output measured at least once, at x ``(m, d)``, in its unit."""
         return {
-            name: self._signs.get(name, 1.0) * float(process.predict(x[None])[0][0])
+            name: self._signs.get(name, 1.0) * process.predict(x)[0]
             for name, process in self._processes.items()
             if process.n
         }
@@ -215,7 +220,7 @@ class Models:
 
         The hyperparameters stay, and so does what is known of failures, of which they say nothing.
         """
-        other = copy(self.extended(data))
+        other = copy(self.extended(data, at_once=True))
         other.validity, other._judged = self.validity, len(data)
         return other
 
@@ -252,6 +257,7 @@ class Models:
         restarts: int | None,
         again: bool = False,
         look: bool = False,
+        at_once: bool = False,
     ) -> bool:
         """Give every process the rows of its output, by training or one after the other.
 
@@ -261,6 +267,7 @@ class Models:
             restarts: Number of random starts in place of the settings'.
             again: Whether this is done once more because of what the training before has shown.
             look: Whether to look for suspected readings even if there are many evaluations.
+            at_once: Whether rows that are added without training are added at once.
 
         Returns:
             Whether any process was trained.
@@ -299,8 +306,9 @@ class Models:
                 if look and not self._is_hurried:
                     self._suspect(name, data, kept, noisy, [self._seed, 6, count, position])
             else:
-                for row in rows[rows >= self._held]:
-                    process.add(inputs[row], float(y[row]), float(stddev[row]))
+                new = rows[rows >= self._held]
+                for part in [new] if at_once and len(new) else new[:, None]:
+                    process.add_all(inputs[part], y[part], stddev[part])
         self._held = len(data)
         self._set_now(data)
         if look and self.has_suspects:

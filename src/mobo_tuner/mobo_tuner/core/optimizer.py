@@ -89,7 +89,7 @@ class Optimizer:
         self._doubts: list[str] = []  # of the models
         self._judged_at = -JUDGE_PERIOD  # number of evaluations
         self._prior_means = prior_means
-        self._last_source: Source = "initial"
+        self._last_sources: list[Source] = ["initial"]
         self._told: set[str] = set()  # outputs that were told, or are known to be misspelt
         self._suggester = Suggester(self.settings, seed)
         self._pending = Pending()
@@ -117,7 +117,12 @@ class Optimizer:
     @property
     def last_source(self) -> Source:
         """Source of the last suggestion."""
-        return self._last_source
+        return self._last_sources[-1]
+
+    @property
+    def last_sources(self) -> list[Source]:
+        """Source of each set-point that `ask` returned last."""
+        return list(self._last_sources)
 
     @property
     def hypervolume(self) -> float:
@@ -268,12 +273,12 @@ class Optimizer:
         """
         if count is None:
             suggestion = self._pending.next(self.archive, self._suggester)
-            self._last_source = suggestion.source
+            self._last_sources = [suggestion.source]
             return suggestion.setpoint
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
             raise ProblemError(f"count is {count!r}; an integer of at least 1 is allowed")
         batch = self._pending.extend(self.archive, self._suggester, count)
-        self._last_source = batch[-1].source
+        self._last_sources = [suggestion.source for suggestion in batch]
         return [suggestion.setpoint for suggestion in batch]
 
     @property

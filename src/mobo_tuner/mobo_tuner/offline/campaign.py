@@ -16,7 +16,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from libensemble import Ensemble
@@ -56,7 +56,7 @@ _POLL = 0.005  # [s] between two looks at the simulations
 
 @dataclass(frozen=True)
 class _Asked:
-    """How a point came about: its source, and the wall time of the suggestion [s]."""
+    """How a point came about: its source, and its share of the wall time of the suggestion [s]."""
 
     source: Source
     seconds: float
@@ -96,12 +96,11 @@ class Campaign(MoboGenerator):
 
     def suggest(self, num_points: int | None = None) -> list[dict[str, Any]]:
         """Return points to simulate, see `MoboGenerator.suggest`."""
-        points: list[dict[str, Any]] = []
-        for _ in range(num_points or 1):
-            started = time.perf_counter()
-            points += super().suggest(1)
-            seconds = time.perf_counter() - started
-            self._asked[points[-1][ID]] = _Asked(self.optimizer.last_source, seconds)
+        started = time.perf_counter()
+        points = super().suggest(num_points)
+        seconds = (time.perf_counter() - started) / len(points)
+        for point, source in zip(points, self.optimizer.last_sources, strict=True):
+            self._asked[point[ID]] = _Asked(source, seconds)
         return points
 
     def ingest(self, results: Sequence[Mapping[str, Any]]) -> None:
@@ -110,10 +109,11 @@ class Campaign(MoboGenerator):
             with self._lock:
                 super().ingest([result])
                 self._log.append(self._record(result))
-                self._log.save(self.optimizer)
             self._failed += self.optimizer.dataset.evaluations[-1].failed
             words = f"hypervolume {self.optimizer.hypervolume:.5g}, {self._failed} failed"
             self._progress.update(self._task, advance=1, description=words)
+        with self._lock:
+            self._log.save(self.optimizer)
 
     def cancel(self) -> None:
         """End the journal; no result is learned any more."""
@@ -224,16 +224,25 @@ def resume(earlier: Path, folder: Path, given: Mapping[str, Any]) -> Begun:
 _OF_TUNER = {"evaluations", "seed"}
 
 
-def run(begun: Begun, folder: Path) -> None:
+class Simulator(Protocol):
+    """What simulates the points of a campaign, such as `Simulation`; it is called by many threads."""
+
+    def run(self, number: int, point: Mapping[str, float]) -> Outcome:
+        """Simulate a point, see `Simulation.run`."""
+
+    def stop(self) -> None:
+        """End all simulations; later ones fail."""
+
+
+def run(begun: Begun, simulation: Simulator) -> None:
     """Simulate until the budget is used up.
 
     Args:
         begun: What is known, and where it is recorded.
-        folder: Folder of the run.
+        simulation: What simulates; it is stopped at the end.
     """
     optimizer, log, settings = begun
     campaign, budget = settings["campaign"], settings["budget"]
-    simulation = Simulation(campaign["command"], campaign["timeout"], folder / "simulations")
     names = optimizer.problem.variable_names
     with Campaign(optimizer, log, budget) as generator:
         outputs = [(name, float) for name in generator.vocs.output_names]
@@ -292,7 +301,7 @@ def _allocate(*state: Any) -> Any:
     return work
 
 
-def _end_at_signals(simulation: Simulation, generator: Campaign) -> None:
+def _end_at_signals(simulation: Simulator, generator: Campaign) -> None:
     """End the process at a signal: libEnsemble would wait for its threads, which wait for simulations."""
 
     def end(number: int, _frame: object) -> None:
@@ -336,7 +345,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             begun = resume(options.resume, options.folder, given)
         else:
             begun = start(load_yaml(options.config), options.folder, given)
-        run(begun, options.folder)
+        campaign = begun.settings["campaign"]
+        folder = options.folder / "simulations"
+        run(begun, Simulation(campaign["command"], campaign["timeout"], folder))
     except (UserError, OSError) as error:
         print(error, file=sys.stderr)
         return 1

@@ -126,7 +126,7 @@ class MoboGenerator(Generator):  # type: ignore[misc]  # gest-api has no types
         for result in read:
             if result.id is not None:
                 suggested = self._suggested.pop(result.id)
-                if suggested in self.optimizer.pending:
+                if suggested != result.setpoint and suggested in self.optimizer.pending:
                     self.optimizer.cancel(suggested)
             self.optimizer.tell(result.setpoint, result.outputs)
 

@@ -21,6 +21,7 @@ from typing import NamedTuple
 from mobo_tuner.errors import ParameterError
 
 _MOST_OUTPUT = 1 << 20  # bytes of the standard output that are read
+_PATIENCE = 10.0  # [s] for the watchdog to end
 
 
 class Outcome(NamedTuple):
@@ -42,7 +43,8 @@ class Simulation:
     """A command that reads a point as one JSON object and prints its outputs as another.
 
     The point is on standard input; the outputs are the last line of standard output, with null for a
-    number that there is none of. Each process runs in a folder of its own, where its files stay.
+    number that there is none of. Each process runs in a folder of its own, where its files stay. All
+    processes end with this one, even if it is killed (`watchdog`); `stop` ends the watchdog.
 
     Attributes:
         command: Program and arguments; a `python` is that of this environment.
@@ -56,6 +58,7 @@ class Simulation:
     _running: set[int] = field(default_factory=set)
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _stopped: bool = False
+    _watchdog: subprocess.Popen[str] | None = None
 
     def __post_init__(self) -> None:
         """Check the command.
@@ -96,6 +99,30 @@ class Simulation:
             for group in self._running:
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(group, signal.SIGKILL)
+            if self._watchdog is not None:
+                try:
+                    self._watchdog.communicate(timeout=_PATIENCE)  # which closes its standard input
+                except subprocess.TimeoutExpired:
+                    self._watchdog.kill()
+                    self._watchdog.communicate()
+                self._watchdog = None
+
+    def _watch(self, sign: str, group: int) -> None:
+        """Tell the watchdog of a process group that starts or has ended; the lock is held."""
+        if self._watchdog is None:
+            if self._stopped:
+                return
+            self._watchdog = subprocess.Popen(
+                [sys.executable, "-I", "-S", str(Path(__file__).with_name("watchdog.py"))],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                start_new_session=True,
+                text=True,
+            )
+        assert self._watchdog.stdin is not None
+        with contextlib.suppress(OSError):  # it was killed
+            self._watchdog.stdin.write(f"{sign}{group}\n")
+            self._watchdog.stdin.flush()
 
     def _output(self, folder: Path, text: str) -> str:
         """Return what the command prints.
@@ -117,6 +144,7 @@ class Simulation:
                     start_new_session=True,
                 )
                 self._running.add(process.pid)
+                self._watch("+", process.pid)  # before the point is known to the process
             try:
                 process.communicate(text.encode(), timeout=self.timeout)
             except subprocess.TimeoutExpired:
@@ -127,6 +155,8 @@ class Simulation:
                 with contextlib.suppress(ProcessLookupError):  # its children, too
                     os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
+                with self._lock:
+                    self._watch("-", process.pid)
         if process.returncode != 0:
             words = (folder / "errors").read_text(errors="replace").strip().splitlines()
             reason = words[-1][:300] if words else f"ended with status {process.returncode}"
