@@ -27,7 +27,7 @@ def campaign(options: argparse.Namespace) -> None:
     """
     runs_dir: Path = options.runs_dir.resolve()
     arguments: list[object] = []
-    for name in ("workers", "evaluations", "seed"):
+    for name in ("workers", "evaluations", "seed", "listen"):
         if getattr(options, name) is not None:
             arguments.append(f"--{name}={getattr(options, name)}")
     with open_project(options.root, (*STAGES, *OFFLINE_STAGES)) as project:

@@ -243,6 +243,11 @@ def _add_campaign(campaign: argparse.ArgumentParser, root: Path) -> None:
         type=_whole(1, MAX_WORKERS),
         help="simulations at the same time (default: that of the file)",
     )
+    campaign.add_argument(
+        "--listen",
+        metavar="ADDRESS",
+        help="simulate by workers on other hosts, which join at this address of this host",
+    )
     _add_budget(campaign, "budget, including earlier evaluations (default: that of the file)")
     _add_seed(campaign, "seed")
     _add_run_id(campaign, "the time")

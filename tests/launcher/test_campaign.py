@@ -40,11 +40,13 @@ def test_a_campaign_ends_with_its_folder_and_a_report(project: FakeProject) -> N
 
 def test_a_campaign_is_continued_beside_the_earlier_one(project: FakeProject) -> None:
     project.run("campaign", "--run-id", "one")
-    status, output, _ = project.run("campaign", "--resume", "one", "--evaluations", "90")
+    words = ("--evaluations", "90", "--listen", "10.0.0.1")
+    status, output, _ = project.run("campaign", "--resume", "one", *words)
     assert status == 0
     assert output.splitlines()[-1] == str(project.root / "runs" / "one-2")
     earlier = project.root / "runs" / "one"
-    assert project.arguments("campaign")[-2:] == ["--evaluations=90", f"--resume={earlier}"]
+    given = ["--evaluations=90", "--listen=10.0.0.1", f"--resume={earlier}"]
+    assert project.arguments("campaign")[-3:] == given
 
 
 def test_a_campaign_that_is_refused_leaves_no_folder(project: FakeProject) -> None:

@@ -2,7 +2,7 @@
 
 `python -m mobo_tuner.offline.campaign FOLDER --config FILE` makes a campaign in a new run folder, with a
 journal as every run has one. libEnsemble hands the points to threads of this process, each of which waits
-for one simulation at a time.
+for one simulation at a time, of this host or, with `--listen`, of a worker on any host (`hosts`).
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.errors import UserError
 from mobo_tuner.files import load_yaml
 from mobo_tuner.offline.generator import ID, MoboGenerator
+from mobo_tuner.offline.hosts import Hosts
 from mobo_tuner.offline.parameters import CAMPAIGN
 from mobo_tuner.offline.simulation import Outcome, Simulation
 from mobo_tuner.parameter_file import check_section, node_sections
@@ -325,6 +326,20 @@ def _fill(answer: Any, outcome: Outcome, names: Sequence[str]) -> None:
     answer[SECONDS], answer[ERROR] = outcome.seconds, outcome.error[:_MOST_ERROR]
 
 
+def _simulator(settings: Mapping[str, Any], folder: Path, listen: str | None) -> Simulator:
+    """Return what simulates, here or on the hosts whose workers join.
+
+    Raises:
+        ParameterError: If it cannot be listened there.
+    """
+    command, timeout = settings["command"], settings["timeout"]
+    if listen is None:
+        return Simulation(command, timeout, folder / "simulations")
+    hosts = Hosts(listen, command, timeout, folder)
+    print(f"workers join by: python -m mobo_tuner.offline.worker {folder}", flush=True)
+    return hosts
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Make one campaign; return the exit status."""
     parser = argparse.ArgumentParser(prog="mobo_tuner.offline.campaign", description="A campaign.")
@@ -334,6 +349,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     source.add_argument("--resume", type=Path, help="folder of the run to continue")
     for name in ("workers", "evaluations", "seed"):
         parser.add_argument(f"--{name}", type=int, help="in place of the file's")
+    parser.add_argument("--listen", help="address of this host, for workers on other hosts")
     options = parser.parse_args(arguments)
     given = {
         name: value
@@ -345,9 +361,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             begun = resume(options.resume, options.folder, given)
         else:
             begun = start(load_yaml(options.config), options.folder, given)
-        campaign = begun.settings["campaign"]
-        folder = options.folder / "simulations"
-        run(begun, Simulation(campaign["command"], campaign["timeout"], folder))
+        run(begun, _simulator(begun.settings["campaign"], options.folder, options.listen))
     except (UserError, OSError) as error:
         print(error, file=sys.stderr)
         return 1

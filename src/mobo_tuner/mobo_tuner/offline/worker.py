@@ -1,0 +1,120 @@
+"""A worker of a campaign on any host that shares the folder of the run.
+
+`python -m mobo_tuner.offline.worker FOLDER` waits until the campaign in that folder listens, and then
+simulates its points, one at a time, until the campaign ends. It may be started and ended at any time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import socket
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from multiprocessing.connection import (
+    AuthenticationError,
+    Connection,
+    answer_challenge,
+    deliver_challenge,
+)
+from pathlib import Path
+
+from mobo_tuner.errors import ParameterError
+from mobo_tuner.offline.hosts import FILE_NAME, keep_alive
+from mobo_tuner.offline.simulation import Simulation
+
+_POLL = 0.2  # [s] between two looks for the campaign
+
+
+def join(folder: Path, patience: float) -> Connection:
+    """Join the campaign of a folder.
+
+    Args:
+        folder: Folder of the run.
+        patience: Longest wait for the campaign [s].
+
+    Raises:
+        ParameterError: If there is none that can be joined.
+    """
+    deadline = time.monotonic() + patience
+    while True:
+        try:
+            place = json.loads((folder / FILE_NAME).read_text())
+            connected = socket.create_connection((place["host"], place["port"]), timeout=10.0)
+            keep_alive(connected)
+            campaign = Connection(connected.detach())
+            answer_challenge(campaign, bytes.fromhex(place["key"]))
+            deliver_challenge(campaign, bytes.fromhex(place["key"]))
+        except (OSError, EOFError, ValueError, KeyError, AuthenticationError) as error:
+            if time.monotonic() > deadline:
+                raise ParameterError(
+                    f"no campaign in '{folder}' could be joined within {patience:g} s ({error!r:.200})"
+                ) from None
+            time.sleep(_POLL)
+        else:
+            return campaign
+
+
+def serve(campaign: Connection, folder: Path) -> None:
+    """Simulate the points that a campaign sends, until it ends.
+
+    Args:
+        campaign: Connection to it.
+        folder: Folder of the run.
+
+    Raises:
+        ParameterError: If the campaign's command cannot be run on this host.
+    """
+    welcome = json.loads(_receive(campaign))
+    simulation = Simulation(welcome["command"], welcome["timeout"], folder / "simulations")
+
+    def simulate(message: bytes) -> None:
+        point = json.loads(message)
+        outcome = simulation.run(point["number"], point["point"])
+        try:
+            campaign.send_bytes(json.dumps(outcome._asdict()).encode())
+        except OSError:  # it has ended in between
+            simulation.stop()
+
+    try:
+        while True:  # a simulation does not keep the end of the campaign from being seen
+            message = _receive(campaign)
+            threading.Thread(target=simulate, args=(message,), daemon=True).start()
+    except (EOFError, OSError):
+        pass
+    finally:
+        simulation.stop()
+
+
+def _receive(campaign: Connection) -> bytes:
+    """Return the next message, whenever it comes; a lost host is noticed by the kernel."""
+    while not campaign.poll(60.0):
+        continue
+    return campaign.recv_bytes()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Work for one campaign; return the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="mobo_tuner.offline.worker", description="A worker of a campaign on several hosts."
+    )
+    parser.add_argument("folder", type=Path, help="folder of the campaign's run")
+    parser.add_argument(
+        "--patience", type=float, default=300.0, help="longest wait for the campaign [s]"
+    )
+    options = parser.parse_args(arguments)
+    try:
+        with join(options.folder, options.patience) as campaign:
+            serve(campaign, options.folder)
+    except (ParameterError, EOFError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
