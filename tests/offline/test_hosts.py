@@ -103,7 +103,7 @@ def test_a_point_with_which_workers_are_lost_again_and_again_has_failed(cluster:
         outcome = threads.submit(cluster.hosts.run, 0, {"x": 2.0})
         for i in range(3):
             cluster.add()
-            cluster.wait_until(lambda i=i: len(cluster.busy()) == i + 1)
+            cluster.wait_until(lambda: len(cluster.busy()) == len(cluster.workers))
             cluster.workers[i].kill()
         assert "3 workers were lost" in outcome.result(TIMEOUT).error
 

@@ -52,7 +52,8 @@ from mobo_tuner.tuner.parameters import check_tuner
 
 SECONDS, ERROR = "_seconds", "_error"  # fields of libEnsemble's history beside those of the problem
 _MOST_ERROR = 300  # characters
-_POLL = 0.005  # [s] between two looks at the simulations
+# Least time between two looks at the simulations [s], and the same for each of many of them.
+_POLL, _POLL_OF_WORKER = 0.005, 5e-5
 
 
 @dataclass(frozen=True)
@@ -294,11 +295,13 @@ def run(begun: Begun, simulation: Simulator) -> None:
 def _allocate(*state: Any) -> Any:
     """Allocate work as libEnsemble does, and wait a little if there is none.
 
-    Its manager would look for results thousands of times a second, at the cost of the simulations.
+    Its manager would look for results thousands of times a second, at the cost of the simulations and of
+    the thread that suggests.
     """
     work = only_persistent_gens(*state)
     if not work[0]:
-        time.sleep(_POLL)
+        workers, *_ = state
+        time.sleep(max(_POLL, _POLL_OF_WORKER * len(workers)))
     return work
 
 

@@ -18,12 +18,8 @@ import struct
 import threading
 import time
 from collections.abc import Mapping
-from multiprocessing.connection import (
-    AuthenticationError,
-    Connection,
-    answer_challenge,
-    deliver_challenge,
-)
+from multiprocessing import AuthenticationError
+from multiprocessing.connection import Connection, answer_challenge, deliver_challenge
 from pathlib import Path
 from typing import Any
 

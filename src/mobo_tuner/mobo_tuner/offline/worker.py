@@ -13,12 +13,8 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from multiprocessing.connection import (
-    AuthenticationError,
-    Connection,
-    answer_challenge,
-    deliver_challenge,
-)
+from multiprocessing import AuthenticationError
+from multiprocessing.connection import Connection, answer_challenge, deliver_challenge
 from pathlib import Path
 
 from mobo_tuner.errors import ParameterError
