@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 import pytest
 
 from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.core.exploration import explore
 from mobo_tuner.core.gaussian_process import GaussianProcess
+from mobo_tuner.core.initial_design import initial_design
 from mobo_tuner.core.one_hot import OneHot
 from mobo_tuner.core.proximal import ProximalBiasing
+from mobo_tuner.core.resolution import Taken
 from mobo_tuner.core.validity import ValidityModel
 
 PLACES = np.array([-1.0, -0.5, 1.0])
@@ -60,6 +64,73 @@ def test_any_change_of_a_choice_costs_the_same() -> None:
     factor = ProximalBiasing([0.0, -1.0], [1.0, 1.0], [False, True])
     x = np.array([[0.0, p] for p in PLACES])
     assert factor.log_value(x).tolist() == [0.0, -0.5, -0.5]
+
+
+def filters(values: list[float]) -> Problem:
+    """A problem with an unordered variable, whatever the machine takes for its choices."""
+    return Problem.from_dict(
+        {
+            "variables": {
+                "x": {"min": 0.0, "max": 1.0},
+                "filter": {"choices": ["foil", "mesh", "none", "slit"], "values": values},
+            },
+            "objectives": {"f": {"reference": 4.0}},
+        }
+    )
+
+
+def test_the_numbers_that_stand_for_choices_matter_nowhere() -> None:
+    few, far = filters([0, 1, 2, 3]), filters([0, 1, 2, 1000])
+    assert few.domain.values[1] is not None
+    assert few.domain.values[1].tolist() == [-0.75, -0.25, 0.25, 0.75]
+    for name in few.variables[1].choice_names:
+        places = [
+            problem.normalize(
+                {"x": 0.3, "filter": dict(zip(v.choice_names, v.choices, strict=True))[name]}
+            )
+            for problem in (few, far)
+            for v in problem.variables[1:]
+        ]
+        assert places[0].tolist() == places[1].tolist()
+        back = far.denormalize(places[1])["filter"]
+        assert far.variables[1].shown(back) == name == far.shown("filter", back + 0.1)
+        assert far.columns(places[1][None])["filter"].tolist() == [back]
+    chosen = [design(far, seed) for seed in range(3)]
+    assert chosen == [design(few, seed) for seed in range(3)]
+    assert sorted(chosen[0]) == sorted(2 * few.variables[1].choice_names)
+
+
+def design(problem: Problem, seed: int) -> list[str]:
+    """The choices of an initial design, from the same random numbers."""
+    points = initial_design("latin_hypercube", 8, problem.domain, seed)
+    setpoints = [problem.denormalize(point) for point in points]
+    return [problem.variables[1].shown(setpoint["filter"]) for setpoint in setpoints]
+
+
+def test_every_other_choice_is_half_a_range_away() -> None:
+    domain = filters([0, 1, 2, 1000]).domain
+    x = np.array([[-0.4, -0.75], [0.2, -0.75], [-0.4, -0.25], [0.4, 0.75]])
+    euclidean = [0.0, 0.6, 1.0, np.hypot(0.8, 1.0)]
+    assert domain.distances(x[:1], x)[0] == pytest.approx(euclidean)
+    assert domain.distances(x[:1], x, "chebyshev")[0] == pytest.approx([0.0, 0.6, 1.0, 1.0])
+    # Space is filled over all choices before any place between two of one choice.
+    rng = np.random.default_rng(0)
+    inputs = np.array([[0.0, place] for place in (-0.75, -0.25, 0.75)])
+    nothing = Taken(np.empty((0, 2)), np.empty((0, 2)))
+    assert explore(inputs, nothing, rng, domain=domain)[1] == 0.25
+
+
+def test_a_guarded_search_changes_a_choice_once_half_the_range_is_trusted() -> None:
+    problem = filters([0, 1, 2, 1000])
+    for trust, changes in ((0.3, False), (0.5, True)):
+        optimizer = Optimizer(problem, seed=1, trust_distance=trust, initial_evaluations=4)
+        optimizer.tell({"x": 0.5, "filter": 1.0}, {"f": 1.0})
+        choices = set()
+        for _ in range(3):
+            setpoint = optimizer.ask()
+            choices.add(setpoint["filter"])
+            optimizer.tell(setpoint, {"f": math.nan if changes else 1.0 + setpoint["x"]})
+        assert (choices != {1.0}) == changes
 
 
 def test_suggestions_are_among_the_choices_and_a_state_goes_on() -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]  # that of core.pareto needs numba, which a client does without
 TOLERANCE = 1e-9
 """Largest distance from a bound or a grid that is rounding, where a variable spans 2."""
+CHANGED = 1.0
+"""Distance between two choices without an order, where other variables span 2: half their range."""
 _ROUNDING = 1e-12  # excess of a limit, relative to the range of its sum, that is rounding
 # Distance from a limit, likewise, at which a projection ends: no rounding leads across it.
 _INSET = 1e-9
@@ -40,6 +43,7 @@ class Domain:
         coefficients: Coefficients of the linear limits ``(m, d)``.
         lower: Lower ends of the limits ``(m,)``, minus infinity for none.
         upper: Upper ends ``(m,)``, infinity for none.
+        unordered: Which variables have no order; empty = none.
 
     Raises:
         EmptyDomainError: If no point is allowed.
@@ -51,8 +55,10 @@ class Domain:
         coefficients: FloatArray | None = None,
         lower: FloatArray | None = None,
         upper: FloatArray | None = None,
+        unordered: Sequence[bool] = (),
     ) -> None:
         d = len(values)
+        self.unordered = np.array(unordered or [False] * d, dtype=np.bool_)
         self.values = tuple(values)
         self._a = np.empty((0, d)) if coefficients is None else coefficients
         self._lower = np.empty(0) if lower is None else lower
@@ -64,6 +70,28 @@ class Domain:
     def is_box(self) -> bool:
         """Whether all of [-1, 1]^d is allowed."""
         return len(self._a) == 0 and all(v is None for v in self.values)
+
+    def distances(
+        self, a: FloatArray, b: FloatArray, metric: Literal["euclidean", "chebyshev"] = "euclidean"
+    ) -> FloatArray:
+        """Return the distances ``(m, n)`` between points ``(m, d)`` and ``(n, d)``.
+
+        Two choices of a variable without an order are `CHANGED` apart, whichever they are.
+        """
+        from scipy.spatial.distance import cdist  # takes time, which a check of settings can spare
+
+        if not self.unordered.any():
+            return np.asarray(cdist(a, b, metric))
+        changed = CHANGED * np.sum(
+            [np.abs(a[:, None, j] - b[:, j]) > TOLERANCE for j in np.flatnonzero(self.unordered)],
+            axis=0,
+        )
+        ordered = np.zeros(changed.shape)
+        if not self.unordered.all():
+            ordered = cdist(a[:, ~self.unordered], b[:, ~self.unordered], metric)
+        if metric == "chebyshev":
+            return np.asarray(np.maximum(ordered, np.minimum(changed, CHANGED)))
+        return np.asarray(np.sqrt(ordered**2 + CHANGED * changed))
 
     @cached_property
     def discrete(self) -> NDArray[np.bool_]:
@@ -149,6 +177,8 @@ class Domain:
         for j, values in enumerate(self.values):
             if values is None:
                 moves = x[j] + np.outer([-1.0, 1.0], 0.3 * 0.3 ** np.arange(8)).ravel()
+            elif self.unordered[j]:
+                moves = values
             else:
                 here = int(np.abs(values - x[j]).argmin())
                 reach = 2 ** np.arange(len(values).bit_length())

@@ -53,7 +53,8 @@ def explore(
         free = ~domain.discrete
         nearest = _TO_IMAGE * (1.0 - np.abs(points[:, free])).min(axis=1, initial=1.0)
     if len(inputs):
-        nearest = np.minimum(nearest, cdist(points, inputs).min(axis=1))
+        distances = cdist(points, inputs) if domain is None else domain.distances(points, inputs)
+        nearest = np.minimum(nearest, distances.min(axis=1))
     with np.errstate(divide="ignore"):
         score = np.log(nearest)
     if log_weight is not None:

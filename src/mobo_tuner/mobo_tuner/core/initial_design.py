@@ -38,19 +38,17 @@ def _fitted(points: Array, domain: Domain, rng: np.random.Generator) -> Array:
 
     Each of these is replaced by the allowed point that is farthest from all others.
     """
-    from scipy.spatial.distance import cdist
-
     snapped = domain.snap(points)
     pool = domain.draw(_POOL, rng)
     kept = np.zeros(len(points), dtype=np.bool_)
     for i in np.flatnonzero(domain.contains(snapped)):
         kept[i] = not (np.abs(snapped[kept] - snapped[i]) <= TOLERANCE).all(axis=1).any()
-    to_kept = cdist(pool, snapped[kept])
+    to_kept = domain.distances(pool, snapped[kept])
     distances, times = to_kept.min(axis=1, initial=np.inf), (to_kept <= TOLERANCE).sum(axis=1)
     for i in np.flatnonzero(~kept):
         # Once all are used, each comes again as often as any other.
         fewest = np.flatnonzero(times == times.min())
         snapped[i] = pool[fewest[distances[fewest].argmax()]]
-        to_new = cdist(pool, snapped[i : i + 1])[:, 0]
+        to_new = domain.distances(pool, snapped[i : i + 1])[:, 0]
         distances, times = np.minimum(distances, to_new), times + (to_new <= TOLERANCE)
     return snapped

@@ -443,8 +443,9 @@ class Problem:
             EmptyDomainError: If there is none.
         """
         places = [v.places for v in self.variables]
+        unordered = [bool(v.choice_names) for v in self.variables]
         if not self.limits:
-            return Domain(places)
+            return Domain(places, unordered=unordered)
         half = np.array([0.5 * (v.maximum - v.minimum) for v in self.variables])
         middle = np.array([v.minimum for v in self.variables]) + half
         by_name = [dict(limit.coefficients) for limit in self.limits]
@@ -452,16 +453,12 @@ class Problem:
         ends = np.array([[limit.minimum, limit.maximum] for limit in self.limits])
         scaled, ends = weights * half, ends - (weights @ middle)[:, None]
         size = np.abs(scaled).max(axis=1, keepdims=True)
-        return Domain(places, scaled / size, *(ends / size).T)
+        lower, upper = (ends / size).T
+        return Domain(places, scaled / size, lower, upper, unordered)
 
     def columns(self, x: Array) -> dict[str, Array]:
         """Return set-points ``x`` ``(n, d)`` in ``[-1, 1]`` as one array ``(n,)`` per variable, in its unit."""
-        return {
-            v.name: v.minimum * (v.maximum / v.minimum) ** (0.5 * (x[:, j] + 1.0))
-            if v.scale == "log"
-            else v.minimum + 0.5 * (x[:, j] + 1.0) * (v.maximum - v.minimum)
-            for j, v in enumerate(self.variables)
-        }
+        return {v.name: _column(v, x[:, j]) for j, v in enumerate(self.variables)}
 
     def is_feasible(self, values: Mapping[str, float]) -> bool:
         """Return whether measured `values` meet every constraint."""
@@ -541,6 +538,14 @@ class Problem:
                         f"derived.{derived.name}.formula uses '{name}', which is neither a variable nor "
                         f"measured by the machine, which measures {listed(diagnostics)}"
                     )
+
+
+def _column(v: Variable, x: Array) -> Array:
+    if v.choice_names:
+        return np.array([v.denormalize(float(xi)) for xi in x])
+    if v.scale == "log":
+        return np.asarray(v.minimum * (v.maximum / v.minimum) ** (0.5 * (x + 1.0)))
+    return np.asarray(v.minimum + 0.5 * (x + 1.0) * (v.maximum - v.minimum))
 
 
 def _resolved(variable: Variable, present: float, low: float, high: float) -> Variable:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ Scale = Literal["linear", "log"]
 
 LIMIT_TOLERANCE = 1e-9
 """Excess of a limit, relative to the largest of its terms and ends, that is rounding."""
+_AT_CHOICE = 0.25  # distance from a choice, as a share of the least one between two, at which a readback is there
 _ON_GRID = 1e-9  # distance from a multiple, in steps, that is rounding
 
 
@@ -57,11 +59,15 @@ class Variable:
     choice_names: tuple[str, ...] = ()
 
     def shown(self, value: float, digits: int = 6) -> str:
-        """Return a value as text, with so many digits: the name of a choice that has one."""
-        if self.choice_names and self.choices[0] <= value <= self.choices[-1]:
-            return self.choice_names[
-                min(range(len(self.choices)), key=lambda i: abs(self.choices[i] - value))
-            ]
+        """Return a value as text, with so many digits: the name of a choice that has one.
+
+        A readback need not be exact, but what is between two choices is neither.
+        """
+        if self.choice_names and math.isfinite(value):
+            nearest = int(np.abs(np.array(self.choices) - value).argmin())
+            apart = min(b - a for a, b in pairwise(self.choices))
+            if abs(self.choices[nearest] - value) <= _AT_CHOICE * apart:
+                return self.choice_names[nearest]
         return f"{value:.{digits}g}"
 
     def number(self, value: object) -> object:
@@ -95,8 +101,21 @@ class Variable:
         """Normalised `values`; None if there are none."""
         return None if self.values is None else np.array([self.normalize(v) for v in self.values])
 
+    @cached_property
+    def _parts(self) -> NDArray[np.float64]:
+        """Places in [-1, 1] of choices without an order: equal parts of it are nearest to each."""
+        count = len(self.choices)
+        if count == 2:
+            return np.array([-1.0, 1.0])
+        return np.asarray((2.0 * np.arange(count) + 1.0) / count - 1.0)
+
     def normalize(self, value: float) -> float:
-        """Scale a value [`unit`] so that the bounds are -1 and 1."""
+        """Scale a value [`unit`] so that the bounds are -1 and 1.
+
+        Choices without an order get places that do not depend on the numbers that stand for them.
+        """
+        if self.choice_names:
+            return float(self._parts[int(np.abs(np.array(self.choices) - value).argmin())])
         if self.scale == "log":
             if not value > 0.0:
                 return -math.inf
@@ -115,12 +134,19 @@ class Variable:
             value = self.minimum + 0.5 * (x + 1.0) * (self.maximum - self.minimum)
         return min(max(value, self.minimum), self.maximum)
 
+    def nearest(self, value: float) -> float:
+        """Return the allowed value that is nearest [`unit`]; the value itself if there is no grid."""
+        if self.values is None:
+            return value
+        return float(self.values[int(np.abs(self.values - value).argmin())])
+
     def is_allowed(self, value: float) -> bool:
         """Return whether a value [`unit`] is inside the bounds and on the grid, to rounding."""
         if self.values is None:
             return self.minimum <= value <= self.maximum
-        nearest = float(self.values[int(np.abs(self.values - value).argmin())])
-        return math.isclose(nearest, value, rel_tol=_ON_GRID, abs_tol=_ON_GRID * self.step)
+        return math.isclose(
+            self.nearest(value), value, rel_tol=_ON_GRID, abs_tol=_ON_GRID * self.step
+        )
 
 
 @dataclass(frozen=True)

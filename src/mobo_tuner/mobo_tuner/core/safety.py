@@ -2,7 +2,8 @@
 
 The set of points that are believed safe at a given probability grows from a first, safe evaluation, as in safe Bayesian
 optimisation [Sui2015]_. Candidates are drawn within a trust distance of evaluations that were safe; the
-distance grows with each safe evaluation and shrinks after any other one.
+distance grows with each safe evaluation and shrinks after any other one. Another choice of a variable without an order
+is half a range away, whichever it is: it is tried once the trust distance has grown to that.
 
 .. [Sui2015] Y. Sui, A. Gotovos, J. Burdick, A. Krause, "Safe exploration for optimization with Gaussian processes",
    Proceedings of Machine Learning Research 37, 997-1005 (2015).
@@ -14,13 +15,13 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.spatial.distance import cdist
 from scipy.stats import qmc
 
 from mobo_tuner.core.archive import Archive
 from mobo_tuner.core.candidate_search import CandidateSearch
 from mobo_tuner.core.constraints import log_probability_between
 from mobo_tuner.core.dataset import BoolArray, Dataset
+from mobo_tuner.core.domain import CHANGED
 from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.problem import Array, Problem, ProblemError
 from mobo_tuner.core.settings import OptimizerSettings
@@ -123,11 +124,15 @@ class SafeSearch:
 
     def _near(self, centers: Array, reach: float, count: int) -> Array:
         """Return points of the domain near some, and within the trust distance of a safe evaluation."""
-        d = centers.shape[1]
+        d, domain = centers.shape[1], self._problem.domain
         chosen = centers[self._rng.integers(len(centers), size=count)]
         steps = 2.0 * qmc.Sobol(d, seed=self._rng).random(count) - 1.0
-        points = self._problem.domain.nearest(np.clip(chosen + reach * steps, -1.0, 1.0))
-        distances = cdist(points, self._centers, "chebyshev").min(axis=1)
+        moved = np.clip(chosen + reach * steps, -1.0, 1.0)
+        # Every choice without an order is as far from every other one.
+        unordered = domain.unordered
+        moved[:, unordered] = (steps if reach >= CHANGED else chosen)[:, unordered]
+        points = domain.nearest(moved)
+        distances = domain.distances(points, self._centers, "chebyshev").min(axis=1)
         return np.asarray(points[distances <= self._distance * (1.0 + 1e-9)])
 
     def _is_safe(self, points: Array) -> BoolArray:
@@ -150,7 +155,8 @@ class SafeSearch:
 
     def _novelty(self, points: Array) -> Array:
         """Return the distances of points ``(m, d)`` from all evaluations ``(m,)``."""
-        return np.asarray(cdist(points, self._data.inputs).min(axis=1))
+        distances = self._problem.domain.distances(points, self._data.inputs)
+        return np.asarray(distances.min(axis=1))
 
     def _guards(self) -> list[tuple[GaussianProcess, float, float, float]]:
         """Return model, limits and least probability of each constraint that must be safe."""
