@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from mobo_msgs_py import msg
-from mobo_msgs_py.action import EvaluateSetpoint, Tune
+from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint, Tune
 from mobo_tuner.ros.conversions import values_of
 from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import FILE_NAME, read_journal
@@ -51,21 +51,22 @@ class Watch:
 
     async def evaluate(self, goal: EvaluateSetpoint.Goal, *others: Any) -> Any:
         """Have a set-point evaluated."""
-        for named in (goal.setpoint, goal.if_client_lost, goal.if_violated):
+        vias = (goal.if_client_lost_via, goal.if_violated_via)
+        for named in (goal.setpoint, goal.if_client_lost, goal.if_violated, *vias):
             self._check(values_of(named))
         return await self._client.evaluate(goal, *others)
 
-    async def apply(self, setpoint: Sequence[msg.NamedValue], *others: Any, **more: Any) -> Any:
+    async def apply(self, goal: ApplySetpoint.Goal, *others: Any, **more: Any) -> Any:
         """Have the machine go to a set-point."""
-        self._check(values_of(setpoint))
-        return await self._client.apply(setpoint, *others, **more)
+        self._check(values_of(goal.via))
+        self._check(values_of(goal.setpoint))
+        return await self._client.apply(goal, *others, **more)
 
-    async def send_off(
-        self, setpoint: Sequence[msg.NamedValue], timeout: float, limits: Sequence[msg.Limit] = ()
-    ) -> Any:
+    async def send_off(self, goal: ApplySetpoint.Goal, timeout: float) -> Any:
         """Have the machine go to a set-point by itself."""
-        self._check(values_of(setpoint))
-        return await self._client.send_off(setpoint, timeout, limits)
+        self._check(values_of(goal.via))
+        self._check(values_of(goal.setpoint))
+        return await self._client.send_off(goal, timeout)
 
 
 class ShiftModel:

@@ -10,7 +10,7 @@ from mobo_tuner.machine.client_watch import MAX_RUNS, ClientWatch, FinishedEvalu
 def test_a_client_is_lost_when_its_heartbeat_stops_for_longer_than_its_timeout() -> None:
     watch = ClientWatch()
     assert not watch.lost(1e9)
-    watch.begin("a", 2.0, {"x": 1.0}, now=10.0)
+    watch.begin("a", 2.0, [{"x": 1.0}], now=10.0)
     assert not watch.lost(12.0)
     watch.hear("a", 11.5)
     watch.hear("b", 12.9)
@@ -22,12 +22,12 @@ def test_a_client_is_lost_when_its_heartbeat_stops_for_longer_than_its_timeout()
 
 def test_the_last_run_that_evaluates_is_the_one_that_is_watched() -> None:
     watch = ClientWatch()
-    watch.begin("a", 2.0, {}, now=0.0)
-    watch.begin("b", 5.0, {}, now=1.0)
+    watch.begin("a", 2.0, [], now=0.0)
+    watch.begin("b", 5.0, [], now=1.0)
     watch.hear("a", 5.9)
     assert watch.run_id == "b"
     assert watch.lost(6.1)
-    watch.begin("c", 0.0, {}, now=1.0)
+    watch.begin("c", 0.0, [], now=1.0)
     assert not watch.active
     assert not watch.lost(1e9)
 

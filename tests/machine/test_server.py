@@ -153,15 +153,19 @@ def test_one_shot_beyond_a_critical_limit_ends_the_evaluation(
         msg.Constraint(name="eps_x", unit="mm mrad", min=-math.inf, max=1e6),
         msg.Constraint(name="transmission", min=-math.inf, max=0.1),
     ]
-    client.send(goal(MIDDLE, shots=1000, critical=limits, if_violated=point(SAFE)))
+    beyond = point(SAFE | {"K1": 440.0})
+    client.send(
+        goal(MIDDLE, shots=1000, critical=limits, if_violated=point(SAFE), if_violated_via=beyond)
+    )
     result = client.wait()
     assert (result.error_code, result.shots) == (RESULT.VIOLATION, 1)
     assert "transmission = " in result.error_msg
     assert "critical limits, -inf to 0.1" in result.error_msg
     assert {d.name for d in result.diagnostics} >= {"transmission", "eps_x"}
     assert k1(result.readbacks) == 475.0  # where it was measured
-    # It went to the safe set-point on a ramp: feedback on the way shows it in between.
+    # It went to the safe set-point on a ramp from the other side: feedback on the way shows it in between.
     assert any(450.0 < k1(f.readbacks) < 475.0 for f in client.feedback)
+    assert any(440.0 <= k1(f.readbacks) < 450.0 for f in client.feedback)
     assert position(mover) == 450.0
 
 

@@ -91,3 +91,18 @@ def test_figures_change_only_now_and_then() -> None:
     assert shown.update(["23 of 26 read 30"], 16 + PERIOD) == ("23 of 26 read 30",)
     assert shown.update(["x is at its bound"], 27) == ("x is at its bound",)
     assert shown.update(["24 of 28 read 30"], 28) == ("24 of 28 read 30",)
+
+
+def test_a_context_that_falls_silent_is_named_with_what_the_models_take_for_it() -> None:
+    problem = Problem.from_dict(PROBLEM.to_dict() | {"context": {"charge": {"unit": "nC"}}})
+    readings = [1.0, 1.02, math.nan, math.nan, math.nan]
+    records = [
+        replace(record, diagnostics={**record.diagnostics, "charge": (reading, math.nan)})
+        for record, reading in zip(made(), readings, strict=False)
+    ]
+    assert run_hints(problem, records[:4], [], {}) == []
+    [hint] = run_hints(problem, records, [], {})
+    assert "context charge was not measured in the last 3 evaluations" in hint
+    assert "1.02 nC of evaluation 1" in hint
+    [hint] = run_hints(problem, records[2:], [], {})
+    assert "the models do without it" in hint

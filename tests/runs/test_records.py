@@ -16,6 +16,7 @@ from std_msgs.msg import Header
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint
+from mobo_tuner.client.values import problem_of
 from mobo_tuner.core import Problem
 from mobo_tuner.runs import history
 from mobo_tuner.runs.definitions import find_definition
@@ -34,9 +35,11 @@ from mobo_tuner.runs.records import (
     StateRecord,
     from_json,
     from_message,
+    problem_from_message,
     to_json,
     to_message,
 )
+from mobo_tuner.tuner.messages import problem_message
 
 # The parser that ROS's type support imports does so.
 pytestmark = pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")
@@ -87,6 +90,7 @@ def same(one: Record, other: Record) -> bool:
         ForgetRecord(2.5, 7, 3, "f", withdrawn=False),
         MoveRecord(3.5, 7, {"K1": 3.5}),
         MoveRecord(3.5, 7, {"K1": 3.5}, "hold", "on_end", 3, anyway=True),
+        MoveRecord(3.5, 7, {"K1": 3.5}, via={"K1": 4.0}),
         StateRecord(3.7, 7, {"K1": 3.5}, "it was stopped"),
         QueuedRecord(3.0, {"K1": 2.0}),
         EndRecord(4.0, "budget"),
@@ -98,6 +102,40 @@ def test_a_record_survives_the_journal(record: Record) -> None:
     read = from_json(json.loads(journal_line(to_json(record))))
     assert read is not None
     assert same(read, record)
+
+
+def test_a_problem_survives_its_message_and_so_a_client_knows_it() -> None:
+    problem = Problem.from_dict(
+        {
+            "variables": {
+                "K1": {"min": 1.0, "max": 9.0, "unit": "A", "scale": "log", "approach": 0.5},
+                "K2": {"fixed": 4.0, "unit": "A"},
+                "foil": {"choices": ["thin", "none"], "values": [1, 3], "fixed": "none"},
+                "phase": {"min": -1.0, "max": 1.0, "step": 0.25},
+            },
+            "objectives": {"f": {"reference": 2.0}, "g": {"reference": 1.0, "goal": 0.5}},
+            "constraints": {"loss": {"max": 3.0, "critical": True}},
+            "observables": {"charge": {"unit": "nC"}},
+            "limits": {"total": {"K2": 1.0, "phase": 2.0, "max": 9.0}},
+            "context": {
+                "hall": {"min": 18.0, "max": 30.0, "unit": "degC"},
+                "charge": {"unit": "nC"},
+            },
+        }
+    )
+    message = problem_message(problem, "run", Time())
+    assert problem_from_message(message) == problem
+    assert problem_of(message) == problem
+
+
+def test_an_evaluation_names_its_contexts() -> None:
+    problem = Problem.from_dict(
+        PROBLEM.to_dict() | {"context": {"charge": {"unit": "nC"}, "hall": {}}}
+    )
+    charge, hall = to_message(EVALUATION, problem, "run", CLASSES).contexts
+    assert (charge.name, charge.value, charge.unit) == ("charge", 40.0, "nC")
+    assert hall.name == "hall"
+    assert math.isnan(hall.value)
 
 
 def test_a_record_survives_its_message() -> None:
@@ -135,7 +173,7 @@ def test_a_stamp_that_a_message_cannot_hold_is_zero(stamp: float) -> None:
 def test_the_message_has_every_field_of_the_record() -> None:
     in_message = set(msg.Evaluation.get_fields_and_field_types())
     in_record = {field.name for field in fields(EvaluationRecord)} - {"stamp"}
-    assert in_message - in_record == {"header", "run_id", "objectives"}
+    assert in_message - in_record == {*("header", "run_id", "objectives", "contexts")}
     assert in_record <= in_message
 
 

@@ -17,7 +17,7 @@ from rclpy.task import Future
 
 import mobo_tuner
 from mobo_msgs_py import msg
-from mobo_msgs_py.action import EvaluateSetpoint
+from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint
 from mobo_msgs_py.srv import DescribeMachine
 from mobo_tuner.core import Optimizer, Problem, ProblemError
 from mobo_tuner.errors import UserError
@@ -52,7 +52,9 @@ POLICIES = ("hold", "restore", "restore_anyway", "best")
 def make_problem(bounds: Mapping[str, tuple[float, float]]) -> Problem:
     return Problem.from_dict(
         {
-            "variables": {n: {"min": low, "max": high} for n, (low, high) in bounds.items()},
+            "variables": {
+                n: {"min": low, "max": high, "approach": 0.5} for n, (low, high) in bounds.items()
+            },
             "objectives": {name: {"reference": 20.0} for name in ("f", "g")},
         }
     )
@@ -95,27 +97,27 @@ class Trace:
         self, goal: EvaluateSetpoint.Goal, on_feedback: FeedbackCallback, *_: Future
     ) -> Answer:
         del on_feedback
-        named = (goal.setpoint, goal.if_client_lost, goal.if_violated)
+        named = (
+            *(goal.setpoint, goal.if_client_lost_via, goal.if_client_lost),
+            *(goal.if_violated_via, goal.if_violated),
+        )
         self.sent += [values_of(each) for each in named if each]
         return Answer(0, "", 0.0, {}, measure(values_of(goal.setpoint)))
 
     async def apply(
         self,
-        setpoint: Sequence[msg.NamedValue],
+        goal: ApplySetpoint.Goal,
         on_feedback: FeedbackCallback,
         *_: Future,
-        limits: Sequence[msg.Limit] = (),
         leave: Future | None = None,
     ) -> Answer:
-        del on_feedback, leave, limits
-        self.sent.append(values_of(setpoint))
+        del on_feedback, leave
+        self.sent += [values_of(each) for each in (goal.via, goal.setpoint) if each]
         return Answer(0, "", 0.0)
 
-    async def send_off(
-        self, setpoint: Sequence[msg.NamedValue], timeout: float, limits: Sequence[msg.Limit] = ()
-    ) -> bool:
-        del timeout, limits
-        self.sent.append(values_of(setpoint))
+    async def send_off(self, goal: ApplySetpoint.Goal, timeout: float) -> bool:
+        del timeout
+        self.sent += [values_of(each) for each in (goal.via, goal.setpoint) if each]
         return True
 
 
@@ -250,7 +252,18 @@ class Shift(RuleBasedStateMachine):
     @invariant()
     def best_is_inside(self) -> None:
         best = fallback_target("best", self.run, self.gate)
-        assert best is None or inside(best.setpoint, self.problem)
+        if best is None:
+            return
+        assert inside(best.setpoint, self.problem)
+        if best.via is not None:  # it comes from the side from which the evaluation came
+            index = next(p["index"] for p in self.run.found.front if p["setpoint"] == best.setpoint)
+            before = self.run.records[index - 1][1].setpoint if index else self.run.state_before
+            assert before is not None
+            for name, value in best.via.items():
+                way, back = value - best.setpoint[name], before[name] - best.setpoint[name]
+                assert abs(way) <= min(0.5, abs(back)) + 1e-9
+                assert way * back >= 0.0
+            assert inside(best.via, self.problem)
 
 
 SIDES = ("minimum", "maximum")

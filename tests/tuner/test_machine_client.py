@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from mobo_msgs_py import msg
-from mobo_msgs_py.action import EvaluateSetpoint
+from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint
 from mobo_tuner.machine.backend import RAMPING, Failure, MachineBackend, Measurement, Operation
 from mobo_tuner.machine.server import MachineServer
 from mobo_tuner.ros.waiting import first_of
@@ -93,6 +93,10 @@ def point(x: float) -> list[msg.NamedValue]:
     return [msg.NamedValue(name="x", value=x)]
 
 
+def move(x: float) -> ApplySetpoint.Goal:
+    return ApplySetpoint.Goal(setpoint=point(x))
+
+
 async def stopped(
     client: MachineClient, machine: SluggishMachine, node: Node, early: bool
 ) -> Answer:
@@ -120,7 +124,7 @@ def test_what_was_stopped_has_ended_before_the_machine_is_asked_for_more(
     early: bool,
 ) -> None:
     assert run(stopped(client, machine, node, early)).error_code == RESULT.CANCELED
-    answer = run(client.apply(point(0.25), lambda _: None))
+    answer = run(client.apply(move(0.25), lambda _: None))
     assert (answer.error_code, answer.error_msg) == (RESULT.NONE, "")
     assert machine.x == 0.25
 
@@ -134,7 +138,7 @@ def test_a_machine_is_sent_off_once_what_was_stopped_has_ended(
 ) -> None:
     assert run(stopped(client, machine, node, early=False)).error_code == RESULT.CANCELED
     assert machine.ramping
-    assert run(client.send_off(point(0.5), timeout=4.0))
+    assert run(client.send_off(move(0.5), timeout=4.0))
     spin_until(lambda: machine.x == 0.5, "the move")
 
 
@@ -143,6 +147,6 @@ def test_nothing_is_asked_for_once_interrupted(
 ) -> None:
     interrupt: Future = Future(executor=node.executor)
     interrupt.set_result(None)
-    answer = run(client.apply(point(0.5), lambda _: None, interrupt))
+    answer = run(client.apply(move(0.5), lambda _: None, interrupt))
     assert answer.error_code == RESULT.CANCELED
     assert run(client.where()) == {"x": 0.0}

@@ -302,7 +302,7 @@ def test_bounds_fence_the_way_to_a_point_and_a_word_leads_across_them(
     front = client.wait().pareto_front.points
     check_other_places(mover, machine, start, {point.index for point in front})
     check_a_violation(mover, machine)
-    check_approach(mover, services, tmp_path)
+    check_approach(mover, machine, services, tmp_path)
     far = max(front, key=lambda point: values(point.setpoint)["x1"])
     where = values(far.setpoint)
     limit = where["x1"] - 0.001
@@ -377,19 +377,23 @@ def check_a_violation(mover: GoalClient, machine: MachineDouble) -> None:
     assert machine.position == VIOLATING[0]
 
 
-def check_approach(mover: GoalClient, services: Services, tmp_path: Path) -> None:
+def check_approach(
+    mover: GoalClient, machine: MachineDouble, services: Services, tmp_path: Path
+) -> None:
     """Go to a point from the side from which its evaluation was."""
     assert services.set(variables__x2__approach=0.125).successful
     mover.send(Goal(index=6))
     assert mover.wait().error_code == CODES.NONE
     history = History.from_records(journal(tmp_path, "wide"))
     earlier, there = history.evaluations[5].setpoint, history.evaluations[6].setpoint
-    (first, _), (second, _) = history.moves[-2:]
-    assert second.setpoint == there
+    move = history.moves[-1].asked
+    assert move.setpoint == there == machine.position
+    assert move.via == values(machine.moves[-1].via)
     back = earlier["x2"] - there["x2"]
     assert abs(back) > 0.125
-    assert first.setpoint["x1"] == there["x1"]
-    assert first.setpoint["x2"] == pytest.approx(there["x2"] + math.copysign(0.125, back))
+    assert move.via is not None
+    assert move.via["x1"] == there["x1"]
+    assert move.via["x2"] == pytest.approx(there["x2"] + math.copysign(0.125, back))
     assert services.set(variables__x2__approach=0.0).successful
 
 

@@ -9,7 +9,15 @@ from enum import StrEnum
 from typing import Any
 
 from mobo_msgs_py import msg
-from mobo_tuner.core.problem import Constraint, Limit, Objective, Observable, Problem, Variable
+from mobo_tuner.core.problem import (
+    Constraint,
+    Context,
+    Limit,
+    Objective,
+    Observable,
+    Problem,
+    Variable,
+)
 from mobo_tuner.errors import UserError
 from mobo_tuner.parameter_spec import NULL
 from mobo_tuner.ros.conversions import values_of
@@ -62,6 +70,8 @@ class Status:
         stop_reason: Stop reason of the last run; empty during a run.
         message: Message for people, such as the reason of a pause or wait until it ends; empty = none.
         last_failure: Last failure of the run, in one sentence; empty = none.
+        contexts: Last reading of each context, for which predictions hold; NaN = none yet.
+        stale_contexts: Names of the contexts that the last evaluation did not measure.
         hints: What keeps the run from progress, one sentence each with what to do.
         front_size: Number of points on the Pareto front.
         recorder: What the recorder does, in one sentence; empty = none was found.
@@ -81,6 +91,8 @@ class Status:
     stop_reason: str = ""
     message: str = ""
     last_failure: str = ""
+    contexts: Mapping[str, float] = field(default_factory=dict)
+    stale_contexts: tuple[str, ...] = ()
     hints: tuple[str, ...] = ()
     front_size: int = 0
     recorder: str = ""
@@ -261,6 +273,8 @@ def status_of(message: msg.TunerStatus) -> Status:
         stop_reason=message.stop_reason,
         message=message.message,
         last_failure=message.last_failure,
+        contexts=values_of(message.contexts),
+        stale_contexts=tuple(message.stale_contexts),
         hints=tuple(message.hints),
         front_size=message.front_size,
         recorder=message.recorder,
@@ -320,6 +334,9 @@ def problem_of(message: msg.Problem) -> Problem:
                 step=v.step,
                 choices=tuple(choice.value for choice in v.choices),
                 choice_names=tuple(choice.name for choice in v.choices if choice.name),
+                scale="log" if v.scale == msg.Variable.LOG else "linear",
+                fixed=v.fixed_value if v.fixed else None,
+                approach=v.approach,
             )
             for v in message.variables
         ),
@@ -347,6 +364,7 @@ def problem_of(message: msg.Problem) -> Problem:
             )
             for limit in message.limits
         ),
+        context=tuple(Context(c.name, c.min, c.max, c.unit) for c in message.contexts),
     )
 
 

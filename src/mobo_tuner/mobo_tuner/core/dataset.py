@@ -358,6 +358,14 @@ class Dataset:
             values = values[known[np.maximum(latest, 0)]]
         return values
 
+    def last_reading(self, name: str) -> tuple[int, float] | None:
+        """Return the index and the value of the last reading of one diagnostic; None if there is none."""
+        for e in reversed(self.evaluations):
+            value = math.nan if name in e.forgotten_names else e.values.get(name, math.nan)
+            if math.isfinite(value) and not e.forgotten:
+                return e.index, value
+        return None
+
     def once(self, function: Callable[[Dataset], bool]) -> bool:
         """Return the result of a function of this dataset, computed once until something changes."""
         if function not in self._results:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 MAX_RUNS = 100  # number of runs that are remembered
 
@@ -17,7 +17,7 @@ class ClientWatch:
     def __init__(self) -> None:
         self.run_id = ""
         self.timeout = 0.0
-        self.fallback: Mapping[str, float] = {}
+        self.fallback: Sequence[Mapping[str, float]] = ()
         self._heard = 0.0
 
     @property
@@ -25,13 +25,15 @@ class ClientWatch:
         """Whether a client is watched."""
         return bool(self.run_id)
 
-    def begin(self, run_id: str, timeout: float, fallback: Mapping[str, float], now: float) -> None:
+    def begin(
+        self, run_id: str, timeout: float, fallback: Sequence[Mapping[str, float]], now: float
+    ) -> None:
         """Watch the client of a run, and no other, from now on.
 
         Args:
             run_id: Id of the run.
             timeout: Timeout of the heartbeat [s]; 0 = the client is not watched.
-            fallback: Set-point for a lost client; empty = hold.
+            fallback: Set-points to go to, one after the other, if the client is lost; empty = hold.
             now: Current time [s].
         """
         self.run_id = run_id if timeout > 0.0 else ""

@@ -53,6 +53,7 @@ class MachineDouble:
     Attributes:
         answer: As above.
         goals: Goals of `evaluate_setpoint` so far.
+        moves: Goals of `apply_setpoint` so far that have a set-point.
         times: Times of their arrival, by `time.monotonic` [s].
         position: Current set-point; empty before the first goal.
         held: Whether evaluations wait, sending feedback, until this is false or they are canceled.
@@ -73,6 +74,7 @@ class MachineDouble:
     ) -> None:
         self.answer = answer
         self.goals: list[EvaluateSetpoint.Goal] = []
+        self.moves: list[ApplySetpoint.Goal] = []
         self.times: list[float] = []
         self.position: dict[str, float] = {}
         self.held = False
@@ -137,6 +139,7 @@ class MachineDouble:
 
     async def _apply(self, goal: Goal) -> ApplySetpoint.Result:
         if goal.request.setpoint:
+            self.moves.append(goal.request)
             self.position = values_of(goal.request.setpoint)
         return ApplySetpoint.Result(
             readbacks=named_values(self.position, {}), stamp=self._node.get_clock().now().to_msg()

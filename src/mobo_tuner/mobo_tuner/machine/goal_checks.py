@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from mobo_msgs_py import msg
-from mobo_msgs_py.action import EvaluateSetpoint
+from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint
 
 MOST_SHOWN = 80  # characters of a received string in an error message
 
@@ -49,6 +49,18 @@ def check_setpoint(
     return {name: given[name].value for name in names}
 
 
+def check_move(
+    goal: ApplySetpoint.Goal, variables: Sequence[msg.Variable]
+) -> list[dict[str, float]]:
+    """Check the set-points of a move and return them, in the order in which the machine goes to them.
+
+    Raises:
+        ValueError: If one is not allowed; the message is one sentence.
+    """
+    via = [check_setpoint(goal.via, variables, "via")] if goal.via else []
+    return [*via, check_setpoint(goal.setpoint, variables)]
+
+
 def check_evaluation(
     goal: EvaluateSetpoint.Goal,
     variables: Sequence[msg.Variable],
@@ -62,8 +74,9 @@ def check_evaluation(
     """
     setpoint = check_setpoint(goal.setpoint, variables)
     for what in ("if_client_lost", "if_violated"):
-        if getattr(goal, what):
-            check_setpoint(getattr(goal, what), variables, what)
+        for name in (what, f"{what}_via"):
+            if getattr(goal, name):
+                check_setpoint(getattr(goal, name), variables, name)
     if goal.shots > max_shots:
         raise ValueError(f"shots = {goal.shots} must be from 0 to {max_shots}")
     _check_critical(goal.critical, diagnostics)

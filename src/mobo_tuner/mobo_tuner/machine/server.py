@@ -26,7 +26,7 @@ from mobo_tuner.machine.backend import (
     Operation,
 )
 from mobo_tuner.machine.client_watch import ClientWatch, FinishedEvaluations
-from mobo_tuner.machine.goal_checks import check_evaluation, check_setpoint
+from mobo_tuner.machine.goal_checks import check_evaluation, check_move
 from mobo_tuner.machine.limits import SumLimits
 from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.action_server import Goal
@@ -165,12 +165,12 @@ class MachineServer:
     ) -> Failure | None:
         """Move and measure into `result`; after a violation or a lost client, go to a fallback."""
         request = goal.request
-        fallback = values_of(request.if_client_lost)
+        fallback = _way(request.if_client_lost_via, request.if_client_lost)
         self._limits = limits
         self._watch.begin(request.run_id, request.client_timeout, fallback, time.monotonic())
         operation = self._begin(goal, request.critical)
         try:
-            failure = await self._move(setpoint, operation)
+            failure = await self._move([setpoint], operation)
             measured = Measurement()
             if failure is None:
                 measured = await self._measure(request.shots, operation)
@@ -180,7 +180,8 @@ class MachineServer:
             result.diagnostics = list(measured.diagnostics)
             result.shots = measured.shots
             if failure is not None and failure.code == _Result.VIOLATION:
-                failure = await self._fall_back(failure, values_of(request.if_violated))
+                way = _way(request.if_violated_via, request.if_violated)
+                failure = await self._fall_back(failure, way)
             elif failure is not None and failure.code == _Result.CLIENT_LOST:
                 failure = await self._fall_back(failure, fallback)
         finally:
@@ -210,9 +211,10 @@ class MachineServer:
     async def _run_move(self, goal: Goal) -> Failure | None:
         """Move to a goal's set-point."""
         try:
-            setpoint = check_setpoint(goal.request.setpoint, self._backend.variables)
+            setpoints = check_move(goal.request, self._backend.variables)
             limits = SumLimits(goal.request.limits, self._backend.variables)
-            limits.check(setpoint)
+            for setpoint in setpoints:
+                limits.check(setpoint)
         except ValueError as error:
             return Failure(_Result.INVALID_SETPOINT, str(error))
         failure = self._refusal()
@@ -221,7 +223,7 @@ class MachineServer:
         self._limits = limits
         operation = self._begin(goal)
         try:
-            return await self._move(setpoint, operation)
+            return await self._move(setpoints, operation)
         finally:
             self._end()
 
@@ -253,7 +255,17 @@ class MachineServer:
     def _end(self) -> None:
         self._operation = self._goal = None
 
-    async def _move(self, setpoint: Mapping[str, float], operation: Operation) -> Failure | None:
+    async def _move(
+        self, setpoints: Sequence[Mapping[str, float]], operation: Operation
+    ) -> Failure | None:
+        """Go to one set-point after the other."""
+        for setpoint in setpoints:
+            failure = await self._move_on(setpoint, operation)
+            if failure is not None:
+                return failure
+        return None
+
+    async def _move_on(self, setpoint: Mapping[str, float], operation: Operation) -> Failure | None:
         if operation.failure is not None:
             return operation.failure
         try:
@@ -293,16 +305,16 @@ class MachineServer:
         self._backend.hold()
         return Failure(_Result.UNKNOWN, f"the machine's node failed: {error!r}")
 
-    async def _fall_back(self, failure: Failure, setpoint: Mapping[str, float]) -> Failure:
-        """Go to `setpoint` after `failure`; the machine holds if it is empty or cannot be reached."""
+    async def _fall_back(self, failure: Failure, way: Sequence[Mapping[str, float]]) -> Failure:
+        """Go a way after `failure`; the machine holds if it is empty or cannot be gone."""
         if failure.code == _Result.CLIENT_LOST:
             self._finished.forget(self._watch.run_id)
             self._watch.end()
-        if not setpoint:
+        if not way:
             return Failure(failure.code, f"{failure.message}; the machine holds where it is")
         refused = self._stopped or self._inactive() or self._backend.refusal()
         if refused is None:
-            refused = await self._move(setpoint, self._begin(self._goal))
+            refused = await self._move(way, self._begin(self._goal))
         outcome = "the machine went to the set-point given for that"
         if refused is not None:
             outcome = f"the machine could not go to the set-point given for that: {refused.message}"
@@ -330,7 +342,7 @@ class MachineServer:
         request = None if self._goal is None else self._goal.request
         return isinstance(request, EvaluateSetpoint.Goal) and request.run_id == run_id
 
-    async def _abandoned(self, failure: Failure, fallback: Mapping[str, float]) -> None:
+    async def _abandoned(self, failure: Failure, fallback: Sequence[Mapping[str, float]]) -> None:
         """Go to the fallback of a client that was lost between two evaluations."""
         try:
             failure = await self._fall_back(failure, fallback)
@@ -355,6 +367,13 @@ class MachineServer:
 
     def _now(self) -> Any:
         return self._node.get_clock().now().to_msg()
+
+
+def _way(
+    via: Sequence[msg.NamedValue], setpoint: Sequence[msg.NamedValue]
+) -> list[dict[str, float]]:
+    """Return the set-points that lead to one; none if it is empty."""
+    return [values_of(point) for point in (via, setpoint) if point] if setpoint else []
 
 
 def _with_outcome(result: Any, failure: Failure | None) -> Any:

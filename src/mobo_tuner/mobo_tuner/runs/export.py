@@ -63,7 +63,11 @@ def columns_of(run: RecordedRun) -> tuple[dict[str, Column], dict[str, str]]:
         values = [r.setpoint.get(variable.name, math.nan) for r in records]
         add(variable.name, "", _named(variable, values))
     diagnostics = dict.fromkeys(
-        [*problem.required_diagnostics, *(name for r in records for name in r.diagnostics)]
+        [
+            *problem.required_diagnostics,
+            *(context.name for context in problem.context),
+            *(name for r in records for name in r.diagnostics),
+        ]
     )
     unknown = (math.nan, math.nan)
     for name in diagnostics:

@@ -17,6 +17,7 @@ from mobo_tuner.runs.records import EvaluationRecord
 
 MOST = 3  # hints at a time
 PERIOD = 10  # evaluations until a hint's figures are brought up to date
+SILENT = 3  # evaluations in a row without a reading of a context
 FEWEST = 8  # evaluations before anything is said
 RECENT = 50  # evaluations that are looked at
 CLIPPED = 0.5  # least share of readings that are exactly the largest or the least
@@ -42,10 +43,12 @@ def run_hints(
         limits: Limits of the machine's variables; empty if they are unknown.
         general: What the optimiser says of the problem and its front.
     """
+    silent = _silent_contexts(problem, records)
     if len(records) < FEWEST:
-        return []
+        return silent
     recent = records[-RECENT:]
     found = [
+        *silent,
         *general,
         *_quantised(problem, recent),
         *_clipped(problem, recent),
@@ -75,6 +78,28 @@ class Hints:
             shown[kind] = before if fresh else (text, evaluations)
         self._shown = shown
         return tuple(text for text, _ in shown.values())
+
+
+def _silent_contexts(problem: Problem, records: Sequence[EvaluationRecord]) -> list[str]:
+    """Say which contexts are not measured any more, and what the models take for them."""
+    hints = []
+    for context in problem.context:
+        readings = [r.diagnostics.get(context.name, (math.nan, math.nan))[0] for r in records]
+        known = [n for n, value in enumerate(readings) if math.isfinite(value)]
+        missing = len(records) - 1 - (known[-1] if known else -1)
+        if missing < SILENT:
+            continue
+        taken = (
+            f"the models take its last reading, {readings[known[-1]]:.4g} {context.unit}".rstrip()
+            + f" of evaluation {records[known[-1]].index}, for the present one"
+            if known
+            else "the models do without it"
+        )
+        hints.append(
+            f"the context {context.name} was not measured in the last {missing} evaluations: {taken}; "
+            "check its source"
+        )
+    return hints
 
 
 def _quantised(problem: Problem, records: Sequence[EvaluationRecord]) -> list[str]:

@@ -28,6 +28,9 @@ SOURCES: tuple[Source, ...] = get_args(Source)
 DIRECTIONS = ("minimize", "maximize")
 """Directions by the constants of `mobo_msgs_py/msg/Objective`: MINIMIZE, MAXIMIZE."""
 
+SCALES = ("linear", "log")
+"""Scales by the constants of `mobo_msgs_py/msg/Variable`: LINEAR, LOG."""
+
 Stamp = float  # [s since the epoch]
 Short = int  # at most 65535 in a message
 Values = Mapping[str, float]
@@ -154,6 +157,7 @@ class MoveRecord:
         by: "operator", or the policy that asks for it, "on_end" or "on_abort".
         evaluation: Index of the evaluation whose set-point it is; None if it is that of none.
         anyway: Whether it leads across the bounds, on an operator's word.
+        via: Set-point that it passes on the way; None if it leads straight there.
     """
 
     stamp: Stamp
@@ -163,6 +167,7 @@ class MoveRecord:
     by: str = "operator"
     evaluation: int | None = None
     anyway: bool = False
+    via: Values | None = None
 
 
 @dataclass(frozen=True)
@@ -310,10 +315,15 @@ def to_message(
         value = _KINDS[str(field.type)].write(getattr(record, field.name))
         content[field.name] = named(value) if isinstance(value, Mapping) else value
     unknown = (math.nan, math.nan)
-    objectives = {name: record.diagnostics.get(name, unknown) for name in problem.objective_names}
+    objectives, contexts = (
+        named({name: record.diagnostics.get(name, unknown) for name in names})
+        for names in (problem.objective_names, [context.name for context in problem.context])
+    )
     sec, nanosec = content.pop("stamp")
     header = classes.header(stamp=classes.time(sec=sec, nanosec=nanosec))
-    return classes.evaluation(header=header, run_id=run_id, objectives=named(objectives), **content)
+    return classes.evaluation(
+        header=header, run_id=run_id, objectives=objectives, contexts=contexts, **content
+    )
 
 
 def from_message(message: Any) -> EvaluationRecord:
@@ -343,7 +353,12 @@ def problem_from_message(message: Any) -> Problem:
             lambda c: {**_finite(min=c.min, max=c.max), "unit": c.unit, "critical": c.critical},
         ),
         "observables": _entries(message.observables, lambda o: {"unit": o.unit}),
-        "limits": _entries(getattr(message, "limits", ()), _limit),  # older bags have none
+        # Older bags have none of these.
+        "limits": _entries(getattr(message, "limits", ()), _limit),
+        "context": _entries(
+            getattr(message, "contexts", ()),
+            lambda c: {**_finite(min=c.min, max=c.max), "unit": c.unit},
+        ),
     }
     return Problem.from_dict(sections)
 
@@ -362,6 +377,14 @@ def _variable(item: Any) -> dict[str, Any]:
     entry: dict[str, Any] = {"unit": item.unit, "cost": item.cost}
     choices = list(getattr(item, "choices", ()))  # older bags have no grids
     names = [choice.name for choice in choices if choice.name]
+    if getattr(item, "fixed", False):  # nor any of these
+        entry["fixed"] = float(item.fixed_value)
+    if getattr(item, "approach", 0.0):
+        entry["approach"] = float(item.approach)
+    if getattr(item, "scale", 0):
+        if not item.scale < len(SCALES):
+            raise ValueError(f"scale is {item.scale}; 0 to {len(SCALES) - 1} is allowed")
+        entry["scale"] = SCALES[item.scale]
     if names:
         return entry | {"choices": names, "values": [float(c.value) for c in choices]}
     entry |= {"min": item.min, "max": item.max}
@@ -497,6 +520,7 @@ _KINDS = {
     "float": _Kind(_number, take=float),
     "Source": _Kind(_source, SOURCES.index, _source_of),
     "Values": _Kind(_values, take=_values_of),
+    "Values | None": _Kind(_values, take=_values_of),
     "Measurements": _Kind(_measurements, take=_measurements_of),
     "Problem": _Kind(Problem.from_dict),
     "Mapping[str, Any]": _Kind(_mapping),

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 from rclpy.task import Future
 
 from mobo_msgs_py import msg
-from mobo_msgs_py.action import EvaluateSetpoint
+from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint
 from mobo_msgs_py.srv import DescribeMachine
 from mobo_tuner.core.problem import Problem
 from mobo_tuner.errors import UserError
@@ -32,10 +32,12 @@ class Target(NamedTuple):
     Attributes:
         setpoint: Every variable, in its unit.
         anyway: Whether an operator has said that it may be outside the problem's bounds.
+        via: Set-point to pass on the way; None = straight there.
     """
 
     setpoint: Mapping[str, float]
     anyway: bool = False
+    via: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -84,17 +86,14 @@ class Machine(Protocol):
 
     async def apply(
         self,
-        setpoint: Sequence[msg.NamedValue],
+        goal: ApplySetpoint.Goal,
         on_feedback: FeedbackCallback,
         *interrupts: Future,
-        limits: Sequence[msg.Limit] = (),
         leave: Future | None = None,
     ) -> Answer:
         """Have the machine go to a set-point."""
 
-    async def send_off(
-        self, setpoint: Sequence[msg.NamedValue], timeout: float, limits: Sequence[msg.Limit] = ()
-    ) -> bool:
+    async def send_off(self, goal: ApplySetpoint.Goal, timeout: float) -> bool:
         """Have the machine go to a set-point by itself."""
 
 
@@ -150,10 +149,11 @@ class Gate:
         Raises:
             BoundsError: If the machine may not go there.
         """
-        if not target.anyway:
-            check_bounds(self.bounds, target.setpoint)
-        for limit in self._limits:
-            _check_range(limit.name, target.setpoint, limit.min, limit.max, limit.unit)
+        for setpoint in (target.setpoint, target.via or {}):
+            if not target.anyway:
+                check_bounds(self.bounds, setpoint)
+            for limit in self._limits:
+                _check_range(limit.name, setpoint, limit.min, limit.max, limit.unit)
 
     def settled(self, readbacks: Mapping[str, float]) -> dict[str, float]:
         """Return readbacks as a set-point: those a hair outside a bound or a limit are taken for it."""
@@ -205,6 +205,10 @@ class Gate:
         at, if_client_lost, if_violated = (
             named_values(target.setpoint, units) if target is not None else [] for target in targets
         )
+        client_lost_via, violated_via = (
+            named_values(target.via or {}, units) if target is not None else []
+            for target in targets[1:]
+        )
         goal = EvaluateSetpoint.Goal(
             run_id=request.run_id,
             index=request.index,
@@ -215,7 +219,9 @@ class Gate:
             critical=list(request.critical),
             client_timeout=request.client_timeout,
             if_client_lost=if_client_lost,
+            if_client_lost_via=client_lost_via,
             if_violated=if_violated,
+            if_violated_via=violated_via,
         )
         watched = self._watched(at, on_feedback)
         answer = await self._machine.evaluate(goal, watched, *interrupts)
@@ -235,13 +241,9 @@ class Gate:
             BoundsError: If the target is not allowed; nothing was sent.
             MachineLostError: If the machine refused the goal, fell silent or took too long.
         """
-        self.check(target)
-        setpoint = named_values(target.setpoint, units)
-        watched = self._watched(setpoint, on_feedback)
-        limits = self._limits_for(target)
-        answer = await self._machine.apply(
-            setpoint, watched, *interrupts, limits=limits, leave=leave
-        )
+        goal = self._goal(target, units)
+        watched = self._watched(goal.setpoint, on_feedback)
+        answer = await self._machine.apply(goal, watched, *interrupts, leave=leave)
         return self._ended(answer, units)
 
     async def send_off(self, target: Target, units: Mapping[str, str], timeout: float) -> bool:
@@ -250,22 +252,35 @@ class Gate:
         Raises:
             BoundsError: If the target is not allowed; nothing was sent.
         """
-        self.check(target)
-        setpoint = named_values(target.setpoint, units)
+        goal = self._goal(target, units)
         if self._motion is not None:
-            self._motion.begin(setpoint)
-        return await self._machine.send_off(setpoint, timeout, self._limits_for(target))
+            self._motion.begin(goal.setpoint)
+        return await self._machine.send_off(goal, timeout)
+
+    def _goal(self, target: Target, units: Mapping[str, str]) -> ApplySetpoint.Goal:
+        """Return the goal of a move.
+
+        Raises:
+            BoundsError: If the target is not allowed.
+        """
+        self.check(target)
+        return ApplySetpoint.Goal(
+            setpoint=named_values(target.setpoint, units),
+            via=named_values(target.via or {}, units),
+            limits=self._limits_for(target),
+        )
 
     def _limits_for(self, target: Target) -> list[msg.Limit]:
         """Return the limits on sums of variables that the machine keeps on its way to a target.
 
         An operator's word leads across them, too: those that a target does not meet are left out.
         """
-        at = target.setpoint
+        points = [target.setpoint, *([target.via] if target.via else [])]
         return limit_messages(
             limit
             for limit in self.bounds.limits
-            if all(name in at for name, _ in limit.coefficients) and limit.is_met(at)
+            if all(name in target.setpoint for name, _ in limit.coefficients)
+            and all(map(limit.is_met, points))
         )
 
     def _watched(

@@ -128,19 +128,17 @@ class MachineClient:
 
     async def apply(
         self,
-        setpoint: Sequence[msg.NamedValue],
+        goal: ApplySetpoint.Goal,
         on_feedback: FeedbackCallback,
         *interrupts: Future,
-        limits: Sequence[msg.Limit] = (),
         leave: Future | None = None,
     ) -> Answer:
         """Have the machine go to a set-point, ramped and verified.
 
         Args:
-            setpoint: Every variable once.
+            goal: Set-point with the way there.
             on_feedback: Function that gets the feedback.
             interrupts: Futures; when one of them is done, the machine is stopped.
-            limits: Limits on sums of variables that it keeps on the way.
             leave: Future; when it is done, this returns, and the machine finishes the move by itself.
 
         Raises:
@@ -148,7 +146,6 @@ class MachineClient:
         """
         if not self._apply.server_is_ready():
             raise MachineLostError("the machine does not offer 'apply_setpoint'")
-        goal = ApplySetpoint.Goal(setpoint=list(setpoint), limits=list(limits))
         result = await self._carry_out(self._apply, goal, "a move", on_feedback, interrupts, leave)
         if result is None:
             return self._canceled()
@@ -167,7 +164,7 @@ class MachineClient:
         Raises:
             MachineLostError: If it does not answer.
         """
-        answer = await self.apply([], lambda _: None, *interrupts)
+        answer = await self.apply(ApplySetpoint.Goal(), lambda _: None, *interrupts)
         if answer.error_code == _RESULT.CANCELED:
             return None
         where = {n: v for n, v in answer.readbacks.items() if math.isfinite(v)}
@@ -175,14 +172,11 @@ class MachineClient:
             raise MachineLostError("the machine does not say where it is")
         return where
 
-    async def send_off(
-        self, setpoint: Sequence[msg.NamedValue], timeout: float, limits: Sequence[msg.Limit] = ()
-    ) -> bool:
+    async def send_off(self, goal: ApplySetpoint.Goal, timeout: float) -> bool:
         """Have the machine go to a set-point by itself: only its acceptance is waited for."""
         if not self._apply.server_is_ready():
             return False
         await self._let_go(timeout / 2)
-        goal = ApplySetpoint.Goal(setpoint=list(setpoint), limits=list(limits))
         sent = self._apply.send_goal_async(goal)
         done = await first_of(self._node, sent, timeout=timeout / 2)
         return done is not None and sent.result().accepted

@@ -13,7 +13,7 @@ from mobo_msgs_py import msg
 from mobo_msgs_py.srv import DescribeMachine
 from mobo_tuner.core.problem import Limit, Problem
 from mobo_tuner.ros.conversions import named_values
-from mobo_tuner.runs.records import EvaluationRecord, MessageClasses, to_message
+from mobo_tuner.runs.records import SCALES, EvaluationRecord, MessageClasses, to_message
 
 _CLASSES = MessageClasses(msg.Evaluation, msg.NamedValue, Header, Time)
 
@@ -82,6 +82,10 @@ def problem_message(problem: Problem, run_id: str, stamp: Time) -> msg.Problem:
                     msg.NamedValue(name=name, value=value, unit=v.unit)
                     for value, name in zip_longest(v.choices, v.choice_names, fillvalue="")
                 ],
+                scale=SCALES.index(v.scale),
+                fixed=v.fixed is not None,
+                fixed_value=math.nan if v.fixed is None else v.fixed,
+                approach=v.approach,
             )
             for v in problem.variables
         ],
@@ -103,6 +107,10 @@ def problem_message(problem: Problem, run_id: str, stamp: Time) -> msg.Problem:
         constraints=constraint_messages(problem),
         observables=[msg.Observable(name=o.name, unit=o.unit) for o in problem.observables],
         limits=limit_messages(problem.limits),
+        contexts=[
+            msg.Context(name=c.name, unit=c.unit, min=c.minimum, max=c.maximum)
+            for c in problem.context
+        ],
     )
 
 

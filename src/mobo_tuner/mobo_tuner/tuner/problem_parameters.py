@@ -95,8 +95,8 @@ QUANTITY_PARAMETERS = tuple(
             "variables",
             "approach",
             "number >= 0, 0.0",
-            "Distance from which 'go' approaches a working point, from the side from which its evaluation "
-            "was, for hysteresis; 0 = from wherever the machine is.",
+            "Distance from which the machine approaches a working point, from the side from which its "
+            "evaluation came, for hysteresis; 0 = from wherever it is.",
             True,
         ),
         ("variables", "unit", "text, empty", _UNIT),

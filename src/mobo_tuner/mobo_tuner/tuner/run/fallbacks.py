@@ -14,7 +14,7 @@ from mobo_tuner.tuner.context import TunerContext
 from mobo_tuner.tuner.gate import BoundsError, Gate, Target, settle_on_bounds
 from mobo_tuner.tuner.machine_client import MachineLostError, clip_to_limits
 from mobo_tuner.tuner.parameters import TunerParameters
-from mobo_tuner.tuner.run.moves import keep_move, keep_state
+from mobo_tuner.tuner.run.moves import approached, keep_move, keep_state
 from mobo_tuner.tuner.run.run import Run, RunError
 
 RESTORE, RESTORE_ANYWAY, BEST = "restore", "restore_anyway", "best"
@@ -173,7 +173,8 @@ def fallback_target(policy: str, run: Run, gate: Gate) -> Target | None:
     """Return where a policy sends the machine; None if it holds.
 
     The best point is the one inside the bounds that dominates the largest volume by itself. The machine
-    holds if there is none, or if the state before the run is outside the bounds.
+    holds if there is none, or if the state before the run is outside the bounds. It comes to the best
+    point from the side from which its evaluation was, where a variable has an `approach`.
     """
     if policy in (RESTORE, RESTORE_ANYWAY) and run.state_before is not None:
         target = Target(run.state_before, anyway=policy == RESTORE_ANYWAY)
@@ -181,7 +182,9 @@ def fallback_target(policy: str, run: Run, gate: Gate) -> Target | None:
     if policy == BEST:
         allowed = [point for point in run.found.front if gate.allows(Target(point["setpoint"]))]
         best = largest_box(run.problem, allowed)
-        return Target(dict(best["setpoint"])) if best else None
+        return (
+            approached(Target(dict(best["setpoint"])), run, best["index"], gate) if best else None
+        )
     return None
 
 

@@ -14,6 +14,7 @@ from rclpy.task import Future
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint, Tune
 from mobo_tuner.core import ProblemError
+from mobo_tuner.ros.conversions import named_values
 from mobo_tuner.ros.waiting import STEADY_CLOCK, first_of, until
 from mobo_tuner.runs.records import EndRecord, EvaluationRecord, StopReason
 from mobo_tuner.tuner.context import TunerContext, describe
@@ -456,6 +457,8 @@ def publish_figures(context: TunerContext, run: Run) -> None:
         front_size=len(found.front),
         hypervolume=found.hypervolume,
         hypervolume_measured=found.hypervolume_measured,
+        contexts=named_values({c.name: c.value for c in found.contexts}, found.problem.units),
+        stale_contexts=[c.name for c in found.contexts if c.stale],
     )
 
 

@@ -1,4 +1,4 @@
-"""What is kept of the moves that are not part of an evaluation: what was asked, by whom, where it ended."""
+"""Moves that are not part of an evaluation: from which side they come, and what is kept of them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,31 @@ from collections.abc import Mapping
 
 from mobo_tuner.runs.records import MoveRecord, StateRecord
 from mobo_tuner.tuner.context import TunerContext
-from mobo_tuner.tuner.gate import Target
+from mobo_tuner.tuner.gate import Gate, Target
 from mobo_tuner.tuner.run.run import Run
+
+
+def approached(target: Target, run: Run, index: int, gate: Gate) -> Target:
+    """Return a target that is reached from the side from which its evaluation was, for hysteresis.
+
+    Args:
+        target: Set-point of the evaluation.
+        run: Run of the evaluation.
+        index: Index of the evaluation.
+        gate: The way to the machine, whose problem says which variables are approached from how far.
+
+    Returns:
+        The target itself if nothing has to be approached, or if the machine may not go to that side.
+    """
+    earlier = run.records[index - 1][1].setpoint if index else run.state_before or {}
+    via = dict(target.setpoint)
+    for variable in gate.bounds.variables:
+        if variable.approach and variable.name in earlier:
+            back = earlier[variable.name] - via[variable.name]
+            place = via[variable.name] + min(max(back, -variable.approach), variable.approach)
+            via[variable.name] = variable.nearest(place)
+    beside = target._replace(via=via)
+    return beside if via != target.setpoint and gate.allows(beside) else target
 
 
 def keep_move(
@@ -33,7 +56,7 @@ def keep_move(
     """
     crossing = target.anyway and not context.gate.allows(Target(target.setpoint))
     record = MoveRecord(
-        context.stamp(), run.index, target.setpoint, purpose, by, evaluation, crossing
+        context.stamp(), run.index, target.setpoint, purpose, by, evaluation, crossing, target.via
     )
     if crossing:
         context.log.warning(

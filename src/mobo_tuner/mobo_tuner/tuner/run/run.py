@@ -59,6 +59,14 @@ class Outcome(NamedTuple):
     attempts: int
 
 
+class ContextReading(NamedTuple):
+    """The last reading of a context, NaN if there is none, and whether the last evaluation lacks it."""
+
+    name: str
+    value: float
+    stale: bool
+
+
 @dataclass(frozen=True)
 class Findings:
     """What a run has found so far; never changed, so that any thread may read it.
@@ -73,6 +81,7 @@ class Findings:
         hypervolume_measured: Hypervolume of the complete readings as they are.
         front: Pareto front, as `Optimizer.pareto_front` gives it without probabilities.
         withdrawn: What was forgotten: the index of an evaluation, and a diagnostic or None for all of it.
+        contexts: Last reading of each context.
     """
 
     problem: Problem
@@ -84,6 +93,7 @@ class Findings:
     hypervolume_measured: float
     front: Sequence[Mapping[str, Any]]
     withdrawn: frozenset[tuple[int, str | None]] = frozenset()
+    contexts: tuple[ContextReading, ...] = ()
 
     @classmethod
     def of(cls, optimizer: Optimizer) -> Findings:
@@ -99,7 +109,16 @@ class Findings:
             hypervolume_measured=optimizer.hypervolume_measured,
             front=tuple(optimizer.pareto_front(probability=False)),
             withdrawn=frozenset(optimizer.dataset.withdrawn),
+            contexts=_contexts(optimizer),
         )
+
+
+def _contexts(optimizer: Optimizer) -> tuple[ContextReading, ...]:
+    data, found = optimizer.dataset, []
+    for context in optimizer.problem.context:
+        index, value = data.last_reading(context.name) or (-1, math.nan)
+        found.append(ContextReading(context.name, value, index < len(data.evaluations) - 1))
+    return tuple(found)
 
 
 @dataclass

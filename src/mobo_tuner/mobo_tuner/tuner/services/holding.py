@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from rclpy.task import Future
@@ -37,7 +37,7 @@ class Holding:
         evaluations: int,
         interrupt: Future,
         listener: Callable[[int], None],
-    ) -> Mapping[str, float]:
+    ) -> tuple[Run, int]:
         """Evaluate the point again, then look around it for a better one.
 
         The evaluations make up a run of their own. They are also added to the first run, unless an
@@ -53,7 +53,8 @@ class Holding:
             listener: Called with the number of evaluations spent, after each.
 
         Returns:
-            The best set-point of those that were evaluated now; the point itself if none was feasible.
+            Run and index of the best evaluation of those that were made now; those of the point itself if
+            none was feasible.
 
         Raises:
             RunError: If the run did not end well.
@@ -90,13 +91,12 @@ class Holding:
             await self._context.worker.submit(run.learn_from, made)
         if ending.error_code:
             raise RunError(ending.error_code, ending.error_msg)
-        return _best(run, made, weights) or point
+        best = _best(run, made, weights)
+        return (run, index) if best is None else (held, best)
 
 
-def _best(
-    run: Run, records: Sequence[EvaluationRecord], weights: Sequence[float]
-) -> Mapping[str, float] | None:
-    """Return the set-point with the least weighted sum among the feasible evaluations."""
+def _best(run: Run, records: Sequence[EvaluationRecord], weights: Sequence[float]) -> int | None:
+    """Return the index of the evaluation with the least weighted sum among the feasible evaluations."""
     feasible = [record for record in records if record.feasible]
     if not feasible:
         return None
@@ -105,4 +105,4 @@ def _best(
         np.dot(weights, [record.diagnostics[o.name][0] * o.sign for o in objectives])
         for record in feasible
     ]
-    return feasible[int(np.argmin(sums))].setpoint
+    return feasible[int(np.argmin(sums))].index

@@ -23,7 +23,7 @@ from mobo_tuner.tuner.gate import BoundsError, EvaluationRequest, Target, check_
 from mobo_tuner.tuner.machine_client import MachineLostError
 from mobo_tuner.tuner.messages import constraint_messages, evaluated_point, front_message
 from mobo_tuner.tuner.run.loop import RunLoop
-from mobo_tuner.tuner.run.moves import keep_move, keep_state
+from mobo_tuner.tuner.run.moves import approached, keep_move, keep_state
 from mobo_tuner.tuner.run.run import Run, RunError
 from mobo_tuner.tuner.run.start import read_earlier, reopen_run
 from mobo_tuner.tuner.services.holding import Holding
@@ -219,13 +219,12 @@ class WorkingPoints:
         self, choice: Choice, interrupt: Future, goal: Goal, result: GoToWorkingPoint.Result
     ) -> None:
         await self._meet_machine(choice.run, interrupt)
-        beside = self._beside(choice)
-        if beside is not None:
-            await self._move(choice, beside, None, interrupt, goal, result)
-        await self._move(choice, choice.target, choice.place.index, interrupt, goal, result)
+        target, index = choice.target, choice.place.index
+        if index is not None:
+            target = approached(target, choice.run, index, self._context.gate)
+        await self._move(choice, target, index, interrupt, goal, result)
         if choice.measure:
             await self._measure(choice, interrupt, goal, result)
-        index = choice.place.index
         if not choice.hold_evaluations or index is None:
             return
 
@@ -233,7 +232,7 @@ class WorkingPoints:
             result.evaluations = evaluations
             goal.publish_feedback(phase="measuring", evaluations=evaluations)
 
-        best = await self._holding.hold(
+        held, best = await self._holding.hold(
             choice.run,
             index,
             choice.place.weights,
@@ -242,35 +241,9 @@ class WorkingPoints:
             interrupt,
             count,
         )
-        await self._move(choice, Target(best), None, interrupt, goal, result)
-
-    def _beside(self, choice: Choice) -> Target | None:
-        """Return from where to approach a point: on the side from which its evaluation was, if not afar.
-
-        Returns:
-            None if no variable has to be approached, or if it is not allowed to be there.
-        """
-        run, index, target = choice.run, choice.place.index, choice.target
-        if index is None:
-            return None
-        earlier = run.records[index - 1][1].setpoint if index else run.state_before
-        setpoint = dict(target.setpoint)
-        for variable in self._context.gate.bounds.variables:
-            if earlier is not None and variable.name in earlier:
-                value, reach = setpoint[variable.name], variable.approach
-                back = earlier[variable.name] - value
-                setpoint[variable.name] = value + min(max(back, -reach), reach)
-        beside = Target(setpoint, target.anyway)
-        if setpoint == target.setpoint:
-            return None
-        try:
-            self._context.gate.check(beside)
-        except BoundsError as error:
-            self._context.log.warning(
-                f"{choice.place.name} is not approached as its evaluation was: {error}"
-            )
-            return None
-        return beside
+        target = Target(dict(held.records[best][1].setpoint))
+        target = approached(target, held, best, self._context.gate)
+        await self._move(choice, target, None, interrupt, goal, result)
 
     async def _meet_machine(self, run: Run, interrupt: Future) -> None:
         """Check that the machine is there and suits the run.
