@@ -12,6 +12,10 @@
    GECCO 2006: welded beam.
 .. [Jain2014] H. Jain, K. Deb, "An evolutionary many-objective optimization algorithm using reference-point based
    nondominated sorting approach, part II", IEEE Trans. Evol. Comput. 18, 602 (2014): C2-DTLZ2.
+.. [Deb2001] K. Deb, "Multi-objective optimization using evolutionary algorithms", Wiley (2001), sections 8.2 and 8.3:
+   Binh and Korn's, Srinivas and Deb's, Tanaka's, Osyczka and Kundu's and Kursawe's problems.
+.. [Deb2002] K. Deb, L. Thiele, M. Laumanns, E. Zitzler, "Scalable multi-objective optimization test problems",
+   CEC 2002: DTLZ7.
 """
 
 from __future__ import annotations
@@ -264,6 +268,97 @@ def c2_dtlz2(d: int = 4, radius: float = 0.2) -> Benchmark:
     return _benchmark([(0.0, 1.0)] * d, [1.1, 1.1], lambda x: plain(2.0 * x - 1.0), constraints)
 
 
+def bnh() -> Benchmark:
+    """Return Binh and Korn's problem, in which hardly anything is forbidden [Deb2001]_."""
+
+    def objectives(x: FloatArray) -> FloatArray:
+        return np.stack([4.0 * np.square(x).sum(axis=1), np.square(x - 5.0).sum(axis=1)], axis=1)
+
+    def constraints(x: FloatArray) -> FloatArray:
+        inside = np.square(x - [5.0, 0.0]).sum(axis=1) - 25.0
+        outside = 7.7 - np.square(x - [8.0, -3.0]).sum(axis=1)
+        return np.stack([inside, outside], axis=1)
+
+    return _benchmark([(0.0, 5.0), (0.0, 3.0)], [140.0, 50.0], objectives, constraints)
+
+
+def srn() -> Benchmark:
+    """Return Srinivas and Deb's problem, whose front lies within a circle and beyond a line [Deb2001]_."""
+
+    def objectives(x: FloatArray) -> FloatArray:
+        a, b = x.T
+        bowl = 2.0 + (a - 2.0) ** 2 + (b - 1.0) ** 2
+        return np.stack([bowl, 9.0 * a - (b - 1.0) ** 2], axis=1)
+
+    def constraints(x: FloatArray) -> FloatArray:
+        a, b = x.T
+        return np.stack([a**2 + b**2 - 225.0, a - 3.0 * b + 10.0], axis=1)
+
+    return _benchmark([(-20.0, 20.0)] * 2, [250.0, 0.0], objectives, constraints)
+
+
+def tnk() -> Benchmark:
+    """Return Tanaka's problem, whose front is the wavy edge of a constraint [Deb2001]_."""
+
+    def constraints(x: FloatArray) -> FloatArray:
+        square = np.square(x).sum(axis=1)
+        wavy = 1.0 + 0.1 * np.cos(16.0 * np.arctan2(x[:, 0], x[:, 1])) - square
+        return np.stack([wavy, np.square(x - 0.5).sum(axis=1) - 0.5], axis=1)
+
+    return _benchmark([(0.0, math.pi)] * 2, [1.4, 1.4], np.copy, constraints)
+
+
+def osy() -> Benchmark:
+    """Return Osyczka and Kundu's problem: a front in five parts, on the edges of six constraints [Deb2001]_."""
+    centre = np.array([2.0, 2.0, 1.0, 4.0, 1.0])
+    weight = np.array([25.0, 1.0, 1.0, 1.0, 1.0])
+
+    def objectives(x: FloatArray) -> FloatArray:
+        distance = np.square(x[:, :5] - centre) @ weight
+        return np.stack([-distance, np.square(x).sum(axis=1)], axis=1)
+
+    def constraints(x: FloatArray) -> FloatArray:
+        a, b, c, d, e, f = x.T
+        return np.stack(
+            [
+                2.0 - a - b,
+                a + b - 6.0,
+                b - a - 2.0,
+                a - 3.0 * b - 2.0,
+                (c - 3.0) ** 2 + d - 4.0,
+                4.0 - (e - 3.0) ** 2 - f,
+            ],
+            axis=1,
+        )
+
+    tens, fives = (0.0, 10.0), (1.0, 5.0)
+    bounds = [tens, tens, fives, (0.0, 6.0), fives, tens]
+    return _benchmark(bounds, [0.0, 80.0], objectives, constraints)
+
+
+def kursawe() -> Benchmark:
+    """Return Kursawe's problem in three variables, rough and with a front in pieces [Deb2001]_."""
+
+    def objectives(x: FloatArray) -> FloatArray:
+        pairs = np.hypot(x[:, :-1], x[:, 1:])
+        rough = np.abs(x) ** 0.8 + 5.0 * np.sin(x**3)
+        return np.stack([-10.0 * np.exp(-0.2 * pairs).sum(axis=1), rough.sum(axis=1)], axis=1)
+
+    return _benchmark([(-5.0, 5.0)] * 3, [-10.0, 2.0], objectives)
+
+
+def dtlz7(d: int = 5) -> Benchmark:
+    """Return DTLZ7 in two objectives, whose front is in two pieces [Deb2002]_."""
+
+    def objectives(x: FloatArray) -> FloatArray:
+        first = x[:, 0]
+        scale = 2.0 + 9.0 * x[:, 1:].mean(axis=1)
+        shape = 2.0 - first / scale * (1.0 + np.sin(3.0 * np.pi * first))
+        return np.stack([first, scale * shape], axis=1)
+
+    return _benchmark([(0.0, 1.0)] * d, [1.1, 22.0], objectives)
+
+
 def _benchmark(
     bounds: Sequence[tuple[float, float]],
     reference: Sequence[float],
@@ -303,6 +398,12 @@ PROBLEMS: dict[str, Callable[[], Benchmark]] = {
     "disc_brake": disc_brake,
     "welded_beam": welded_beam,
     "c2_dtlz2": c2_dtlz2,
+    "bnh": bnh,
+    "srn": srn,
+    "tnk": tnk,
+    "osy": osy,
+    "kursawe": kursawe,
+    "dtlz7": dtlz7,
     "awa_2": lambda: awa_variant(("eps_x", "dE")),
     "dtlz2_3": lambda: dtlz2(3),
     "vehicle_safety": vehicle_safety,
@@ -333,6 +434,6 @@ HELD_OUT = (
 
 They were published by others before this project began, and none of them was run when the choices were made, which is
 why this list was fixed before the first comparison on them. The other problems are the paper's toy, the injector and
-DTLZ2, on which the default strategy was developed, and those of `experiments.peers.hard`. A choice is made on those and
-measured once here.
+DTLZ2, on which the default strategy was developed, six published ones (`bnh` to `dtlz7`) on which its exploration was
+judged, and those of `experiments.peers.hard`. A choice is made on those and measured once here.
 """

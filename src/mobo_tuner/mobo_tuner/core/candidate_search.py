@@ -41,7 +41,7 @@ CONFIRMING_STEP = 0.02
 _NEAR = 1e-3
 _ALIKE = 1.0  # range of a constraint's readings, as a share of what they lack
 _ALIKE_BUT_FOR_NOISE = 4.0  # the same where readings are noisy
-_PATIENCE = 3  # failures in a row, after which the search goes back to what was valid
+_MOST_FAILURES = 3  # in a row, after which the search goes back to what was valid
 _MOST_HALVINGS = 12
 _HOPELESS = 1e-4  # expected improvement of each objective, as a share of its spread
 _PATIENCE = 3  # evaluations in which the front should move
@@ -334,9 +334,9 @@ class CandidateSearch:
         """
         valid = self._data.inputs[self._data.valid]
         failures = int(np.argmin(self._data.failed[::-1])) if len(valid) else 0
-        if failures <= _PATIENCE:
+        if failures <= _MOST_FAILURES:
             return []
-        precision = 2.0 ** min(failures - _PATIENCE, _MOST_HALVINGS)
+        precision = 2.0 ** min(failures - _MOST_FAILURES, _MOST_HALVINGS)
         return [ProximalBiasing(valid[-1 - failures % len(valid)], precision)]
 
     def _improvement(
