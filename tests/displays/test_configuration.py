@@ -26,6 +26,7 @@ PROBLEM = {
         "energy": {"min": 10.0, "max": 12.0},
     },
     "observables": {"temperature": {"unit": "K"}},
+    "context": {"hall": {"min": 18.0, "max": 30.0, "unit": "degC"}, "flow": {}},
 }
 
 
@@ -49,6 +50,8 @@ def explained(problem: dict[str, Any] = PROBLEM, **changes: Any) -> str:
         ("halo", "at most 0.1 mm"),
         ("energy", "10 to 12"),
         ("temperature [K]",),
+        ("hall", "expected from 18 to 30 degC"),
+        ("flow", "range that is measured"),
         ("preset default", "ehvi"),
         ("60 evaluations",),
         ("ends early", "never"),

@@ -11,9 +11,10 @@ import pytest
 from rich.console import Console
 
 from mobo_tuner.client import Evaluation, Front, Point, Status
+from mobo_tuner.client.values import ContextReading
 from mobo_tuner.core.problem import Constraint, Objective, Problem
 from mobo_tuner.displays.console_view import PlainView, evaluation_line, render, sparkline
-from mobo_tuner.displays.progress import RunProgress
+from mobo_tuner.displays.progress import RunProgress, contexts_text
 
 EVALUATION = Evaluation(
     run_id="run",
@@ -164,3 +165,20 @@ def test_hints_are_shown_once_and_stay_in_the_live_view() -> None:
     progress = RunProgress(60)
     progress.set_status(Status("evaluating", hints=(hint,)))
     assert hint in shown(progress)
+
+
+def test_contexts_are_shown_with_what_is_not_fresh() -> None:
+    readings = (
+        ContextReading("hall", 22.456, "degC"),
+        ContextReading("charge", 1.02, "nC", stale=True),
+        ContextReading("flow", math.nan, "l/s", stale=True),
+    )
+    assert contexts_text(Status("idle")) == ""
+    status = Status("suggesting", contexts=readings)
+    text = contexts_text(status)
+    assert text == "hall 22.46 degC; charge 1.02 nC (stale); flow not measured yet"
+    progress = RunProgress(60)
+    progress.add(EVALUATION)
+    assert "context" not in shown(progress)
+    progress.set_status(status)
+    assert "charge 1.02 nC (stale)" in shown(progress)

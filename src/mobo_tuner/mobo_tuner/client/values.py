@@ -53,6 +53,23 @@ class TunerError(UserError):
 
 
 @dataclass(frozen=True)
+class ContextReading:
+    """Last reading of a context.
+
+    Attributes:
+        name: Name of the context.
+        value: Its value [`unit`]; NaN = it was never measured.
+        unit: Its unit.
+        stale: Whether the last evaluation did not measure it.
+    """
+
+    name: str
+    value: float
+    unit: str = ""
+    stale: bool = False
+
+
+@dataclass(frozen=True)
 class Status:
     """State of the tuner.
 
@@ -70,8 +87,7 @@ class Status:
         stop_reason: Stop reason of the last run; empty during a run.
         message: Message for people, such as the reason of a pause or wait until it ends; empty = none.
         last_failure: Last failure of the run, in one sentence; empty = none.
-        contexts: Last reading of each context, for which predictions hold; NaN = none yet.
-        stale_contexts: Names of the contexts that the last evaluation did not measure.
+        contexts: Last reading of each context, for which predictions hold.
         hints: What keeps the run from progress, one sentence each with what to do.
         front_size: Number of points on the Pareto front.
         recorder: What the recorder does, in one sentence; empty = none was found.
@@ -91,8 +107,7 @@ class Status:
     stop_reason: str = ""
     message: str = ""
     last_failure: str = ""
-    contexts: Mapping[str, float] = field(default_factory=dict)
-    stale_contexts: tuple[str, ...] = ()
+    contexts: tuple[ContextReading, ...] = ()
     hints: tuple[str, ...] = ()
     front_size: int = 0
     recorder: str = ""
@@ -273,8 +288,10 @@ def status_of(message: msg.TunerStatus) -> Status:
         stop_reason=message.stop_reason,
         message=message.message,
         last_failure=message.last_failure,
-        contexts=values_of(message.contexts),
-        stale_contexts=tuple(message.stale_contexts),
+        contexts=tuple(
+            ContextReading(c.name, c.value, c.unit, c.name in message.stale_contexts)
+            for c in message.contexts
+        ),
         hints=tuple(message.hints),
         front_size=message.front_size,
         recorder=message.recorder,

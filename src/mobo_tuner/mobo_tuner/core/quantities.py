@@ -70,6 +70,12 @@ class Variable:
                 return self.choice_names[nearest]
         return f"{value:.{digits}g}"
 
+    def rank(self, value: float) -> float:
+        """Return where a plot shows a value: at the number of a choice without an order, else at the value itself."""
+        if not self.choice_names or not math.isfinite(value):
+            return value
+        return float(np.abs(np.array(self.choices) - value).argmin())
+
     def number(self, value: object) -> object:
         """Return what stands for the name of a choice; anything else as it is."""
         if isinstance(value, str) and value in self.choice_names:

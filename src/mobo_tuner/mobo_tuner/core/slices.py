@@ -46,7 +46,7 @@ def slices(
     models = {name: m for name, m in optimizer.models.by_output.items() if m.n}
     found = {}
     for column, variable in enumerate(problem.variables):
-        if variable.maximum <= variable.minimum:
+        if variable.fixed is not None:
             continue
         along = np.linspace(-1.0, 1.0, points)
         if variable.choice_names and variable.places is not None:  # there is nothing in between

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mobo_tuner.core.derived import Derived
-from mobo_tuner.core.problem import Constraint, Limit, Objective, Problem, Variable
+from mobo_tuner.core.problem import Constraint, Context, Limit, Objective, Problem, Variable
 from mobo_tuner.machine.description import MachineDescription
 
 _FALLBACKS = {
@@ -66,7 +66,7 @@ def explanation(configuration: Configuration) -> list[str]:
     )
     lines += _entry("observables", [observables or "none"])
     if problem.context:
-        lines += _entry("context", [", ".join(c.name for c in problem.context)])
+        lines += _entry("context", _table(map(_context, problem.context)))
     lines += _entry("method", [_method(configuration.tuner)])
     lines += _entry("budget", [_budget(configuration.tuner)])
     lines += _entry("ends early", _stops(configuration.tuner) or ["never"])
@@ -148,6 +148,13 @@ def _constraint(constraint: Constraint) -> tuple[str, str]:
     critical = ", critical: one shot beyond it ends the evaluation" if constraint.critical else ""
     safe = f", believed with {constraint.safe:g} at every suggestion" if constraint.safe else ""
     return constraint.name, _quantity(text, constraint.unit) + critical + safe
+
+
+def _context(context: Context) -> tuple[str, str]:
+    expected = "expected in the range that is measured"
+    if math.isfinite(context.maximum - context.minimum):
+        expected = f"expected from {context.minimum:g} to {context.maximum:g}"
+    return context.name, f"measured, not set; {_quantity(expected, context.unit)}"
 
 
 def _ends_of(limit: Constraint | Limit) -> str:

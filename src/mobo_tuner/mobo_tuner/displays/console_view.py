@@ -19,7 +19,7 @@ from mobo_tuner.client import Evaluation, Front, Status, TunerClient
 from mobo_tuner.client.follower import OnEvaluation, OnFront, OnProblem, OnStatus
 from mobo_tuner.core.problem import Problem
 from mobo_tuner.displays.keys import HELP, Keys, reading_keys
-from mobo_tuner.displays.progress import RunProgress
+from mobo_tuner.displays.progress import RunProgress, contexts_text
 
 BAR_WIDTH, SPARK_WIDTH = 30, 60  # at most
 ROOMY = 70  # columns from which on standard deviations are shown
@@ -321,6 +321,7 @@ def _figures(progress: RunProgress) -> RenderableType:
             f" median {progress.suggest_median:.2f} s",
             "dim",
         ),
+        (f"\ncontext {contexts}" if (contexts := contexts_text(progress.status)) else "", "dim"),
     )
 
 

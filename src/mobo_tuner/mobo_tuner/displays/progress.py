@@ -162,3 +162,16 @@ class RunProgress:
 
 def _median(values: list[float]) -> float:
     return statistics.median(values) if values else math.nan
+
+
+def contexts_text(status: Status) -> str:
+    """Return the last readings of the contexts in one line; empty if there are none."""
+    texts = []
+    for context in status.contexts:
+        text = f"{context.name} {context.value:.4g} {context.unit}".rstrip()
+        if math.isnan(context.value):
+            text = f"{context.name} not measured yet"
+        elif context.stale:
+            text += " (stale)"
+        texts.append(text)
+    return "; ".join(texts)

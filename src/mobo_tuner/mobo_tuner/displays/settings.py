@@ -31,7 +31,7 @@ def settings_of(problem: Problem, budget: int) -> list[Setting]:
     """
     settings = [Setting("evaluations", "budget of evaluations", budget)]
     for v in problem.variables:
-        if v.choice_names:  # what has no order has no bounds
+        if v.choice_names or v.fixed is not None:  # what has no order has no bounds
             continue
         name = labelled(v.name, v.unit)
         settings.append(Setting(f"variables.{v.name}.min", f"{name}, lower bound", v.minimum))

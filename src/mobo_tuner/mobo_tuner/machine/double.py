@@ -90,7 +90,8 @@ class MachineDouble:
         self._description = DescribeMachine.Response(
             name=name,
             variables=[
-                msg.Variable(name=n, min=low, max=high) for n, (low, high) in variables.items()
+                msg.Variable(name=n, min=float(low), max=float(high))
+                for n, (low, high) in variables.items()
             ],
             diagnostics=[msg.Observable(name=n) for n in diagnostics],
         )

@@ -22,6 +22,7 @@ from mobo_tuner.client import (
     TunerError,
 )
 from mobo_tuner.displays.console_view import make_view
+from mobo_tuner.displays.progress import contexts_text
 
 POLL_PERIOD = 0.1  # [s]
 CANCEL_TIMEOUT = 900.0  # [s] for the machine to be back where `on_abort` sends it
@@ -43,6 +44,8 @@ def status(client: TunerClient, _: argparse.Namespace) -> str:
         text += f"; {now.message}"
     if now.last_failure:
         text += f"\nlast failure: {now.last_failure}"
+    if now.contexts:
+        text += f"\ncontext: {contexts_text(now)}"
     if now.recorder:
         text += f"\n{now.recorder}"
     if math.isfinite(now.free_space):

@@ -179,12 +179,26 @@ def choice_labels(variable: Variable, label: Options) -> Options:
     """
     if not variable.choice_names:
         return {}
-    names = {f"{c:g}": n for c, n in zip(variable.choices, variable.choice_names, strict=True)}
+    places = list(range(len(variable.choices)))
     shown = {
-        "customValues": list(variable.choices),
-        ":formatter": f"(value) => ({json.dumps(names)})[value] ?? ''",
+        "customValues": places,
+        ":formatter": f"(value) => ({json.dumps(variable.choice_names)})[value] ?? ''",
     }
-    return {"axisLabel": {**label, **shown}, "axisTick": {"customValues": list(variable.choices)}}
+    ends = {"min": -0.5, "max": len(places) - 0.5}
+    return {"axisLabel": {**label, **shown}, "axisTick": {"customValues": places}, **ends}
+
+
+def bounds_of(variable: Variable) -> Options:
+    """Return what the axis of a variable needs to show its bounds, in the middle of which is a label, too.
+
+    Args:
+        variable: Variable, which has an order.
+    """
+    low, high = variable.minimum, variable.maximum
+    is_log = variable.scale == "log"
+    middle = float(f"{math.sqrt(low * high):.3g}") if is_log else 0.5 * (low + high)
+    kind = {"type": "log"} if is_log else {}
+    return {"min": low, "max": high, "axisTick": {"customValues": [low, middle, high]}, **kind}
 
 
 def scatter(

@@ -19,6 +19,7 @@ from mobo_tuner.page.chart_parts import (
     Colours,
     Options,
     axis,
+    bounds_of,
     choice_labels,
     curve,
     finite,
@@ -164,21 +165,22 @@ def compared(runs: Sequence[RunBoard], colours: Colours) -> Options:
 
 
 def parallel(run: RunBoard, chosen: int | None, colours: Colours) -> Options:
-    """Return the parallel coordinates of the front: all objectives, then all variables."""
+    """Return the parallel coordinates of the front: all objectives, then all variables that are not fixed."""
     problem = run.problem
     assert problem is not None
     points = run.front.points[:MAX_LINES] if run.front is not None else ()
+    variables = [v for v in problem.variables if v.fixed is None]
     axes = [
         *(_parallel_axis(i, o.name, o.unit, colours) for i, o in enumerate(problem.objectives)),
         *(
             _bounded(_parallel_axis(i, v.name, v.unit, colours), v)
-            for i, v in enumerate(problem.variables, start=len(problem.objectives))
+            for i, v in enumerate(variables, start=len(problem.objectives))
         ),
     ]
 
     def line(point: Point) -> Options:
         values = [*(point.objectives.get(o.name, math.nan) for o in problem.objectives)]
-        values += [point.setpoint.get(v.name, math.nan) for v in problem.variables]
+        values += [v.rank(point.setpoint.get(v.name, math.nan)) for v in variables]
         return {"name": f"#{point.index}", "value": [finite(value) for value in values]}
 
     style = {"width": 1.5, "opacity": 0.55, "color": colours.front}
@@ -255,12 +257,11 @@ def _parallel_axis(position: int, name: str, unit: str, colours: Colours) -> Opt
 
 def _bounded(axis: Options, variable: Variable) -> Options:
     """Return an axis that ends at the bounds of a variable."""
-    ends = variable.minimum, variable.maximum
     if variable.choice_names:
-        return axis | {"min": ends[0], "max": ends[1]} | choice_labels(variable, axis["axisLabel"])
-    values = [ends[0], 0.5 * (ends[0] + ends[1]), ends[1]]
-    axis["axisLabel"]["customValues"] = values
-    return axis | {"min": ends[0], "max": ends[1], "axisTick": {"customValues": values}}
+        return axis | choice_labels(variable, axis["axisLabel"])
+    bounds = bounds_of(variable)
+    axis["axisLabel"]["customValues"] = bounds["axisTick"]["customValues"]
+    return axis | bounds
 
 
 def _box(x: Objective, y: Objective, colours: Colours) -> Options:

@@ -142,7 +142,12 @@ def travel(variable: Variable, here: float, new: float) -> str:
         return "stays" if variable.shown(here) == variable.shown(new) else "changes"
     if reach <= 0.0:
         return "stays" if new == here else "it is fixed"
-    return f"{abs(new - here) / reach:.0%} of its range"
+    if new == here:
+        return "stays"
+    share = abs(new - here) / reach
+    if variable.scale == "log":
+        share = 0.5 * abs(variable.normalize(new) - variable.normalize(here))
+    return f"{share:.0%} of its range"
 
 
 class QueueDialog(Dialog):
@@ -173,13 +178,18 @@ class QueueDialog(Dialog):
         with self.body:
             for variable in run.problem.variables:
                 value = proposed(variable, values.get(variable.name))
-                if variable.choice_names:
-                    words = dict(zip(variable.choices, variable.choice_names, strict=True))
-                    choice = ui.select(words, label=variable.name, value=value)
+                if variable.choices:
+                    words = {choice: variable.shown(choice) for choice in variable.choices}
+                    label = labelled(variable.name, variable.unit)
+                    choice = ui.select(words, label=label, value=value)
                     self._fields[variable.name] = choice.props("dense outlined")
                     continue
                 label = f"{labelled(variable.name, variable.unit)}, "
                 label += f"{number(variable.minimum)} to {number(variable.maximum)}"
+                if variable.fixed is not None:
+                    label += f", fixed at {number(variable.fixed)}"
+                elif variable.step:
+                    label += f", in steps of {number(variable.step)}"
                 field = ui.number(label, value=value)
                 self._fields[variable.name] = field.props("dense outlined step=any")
         super().open()
@@ -259,7 +269,7 @@ def proposed(variable: Variable, value: float | None) -> float | None:
     """Return a value for a field: within the bounds, which a readback may be just outside of."""
     if value is None or not math.isfinite(value):
         return None
-    if variable.choice_names:
+    if variable.choices:
         return min(variable.choices, key=lambda choice: abs(choice - value))
     return float(f"{min(max(value, variable.minimum), variable.maximum):.6g}")
 

@@ -9,13 +9,14 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from mobo_tuner.core.problem import Variable
+from mobo_tuner.core.problem import Problem, Variable
 from mobo_tuner.displays.settings import labelled
 from mobo_tuner.page.chart_parts import (
     FONT,
     Colours,
     Options,
     axis,
+    bounds_of,
     choice_labels,
     error_bars,
     marks,
@@ -40,20 +41,23 @@ def model_slice(
         colours: Colours of the plot.
     """
     part = content["slices"][variable.name]
-    values, means, stddevs = part["values"], part["means"][output], part["stddevs"][output]
+    means, stddevs = part["means"][output], part["stddevs"][output]
+    values = [variable.rank(value) for value in part["values"]]
     low = [[x, _minus(m, s)] for x, m, s in zip(values, means, stddevs, strict=True)]
     width = [
         [x, None if s is None else 2.0 * BAND * s] for x, s in zip(values, stddevs, strict=True)
     ]
     gain = [[x, a] for x, a in zip(values, part["acquisition"], strict=True)]
-    here = [{"xAxis": content["setpoint"][variable.name]}]
-    bounds = values[0], values[-1]
-    labels = bounds[0], 0.5 * (bounds[0] + bounds[1]), bounds[1]
+    here = [{"xAxis": variable.rank(content["setpoint"][variable.name])}]
+    along = bounds_of(variable) | {"min": values[0], "max": values[-1]}
+    if variable.choice_names:  # of which nothing is in between
+        along = {"min": -0.5, "max": len(values) - 0.5}
+    labels = along.pop("axisTick", {}).get("customValues", values)
     least, most = _reach(content, output)
-    below = axis("", colours, 0, labels=labels, min=bounds[0], max=bounds[1], gridIndex=1)
+    below = axis("", colours, 0, labels=labels, gridIndex=1, **along)
     band = {"type": "line", "stack": "band", "symbol": "none", "lineStyle": {"opacity": 0.0}}
     plain = {"type": "line", "symbol": "none"}
-    return options(
+    plot = options(
         colours,
         title=title(labelled(variable.name, variable.unit), colours),
         grid=[
@@ -66,9 +70,8 @@ def model_slice(
                 colours,
                 0,
                 labels=labels,
-                min=bounds[0],
-                max=bounds[1],
                 axisLabel={"show": False},
+                **along,
             ),
             below | choice_labels(variable, below["axisLabel"]),
         ],
@@ -104,6 +107,34 @@ def model_slice(
             },
         ],
     )
+    if variable.choice_names:
+        _separate(plot["series"], low, width)
+    return plot
+
+
+def _separate(series: list[Options], low: list[list[Any]], width: list[list[Any]]) -> None:
+    """Draw what stands for choices without an order as points and bars, which nothing connects."""
+    bars = [
+        [x, bottom, bottom, bottom, bottom + extent]
+        for (x, bottom), (_, extent) in zip(low, width, strict=True)
+        if bottom is not None and extent is not None
+    ]
+    first, second, mean, gain = series
+    colour = mean["lineStyle"]["color"]
+    first |= {"data": [], "stack": None}
+    second |= error_bars(second["name"], bars, colour) | {"data": bars}
+    mean |= {"type": "scatter", "symbol": "circle", "symbolSize": 9, "itemStyle": {"color": colour}}
+    gain |= {"type": "bar", "barWidth": 12, "itemStyle": {"color": gain["lineStyle"]["color"]}}
+
+
+def at_contexts(content: Mapping[str, Any], problem: Problem) -> str:
+    """Return for which readings of the contexts the models speak, as the end of a sentence."""
+    known = {n: value for n, value in content.get("contexts", {}).items() if value is not None}
+    units = problem.units
+    readings = [
+        f"{name} {quantity(value, units.get(name, ''), 4)}" for name, value in known.items()
+    ]
+    return f", for the last reading of {' and '.join(readings)}" if readings else ""
 
 
 def _reach(content: Mapping[str, Any], output: str) -> tuple[float | None, float | None]:

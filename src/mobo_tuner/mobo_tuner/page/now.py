@@ -6,6 +6,7 @@ import math
 
 from nicegui import ui
 
+from mobo_tuner.displays.progress import contexts_text
 from mobo_tuner.page.board import Level
 from mobo_tuner.page.viewer import Table, Viewer, card
 from mobo_tuner.page.words import SYMBOLS, duration, place, set_to, state_of
@@ -38,6 +39,7 @@ class StatePanel:
             with ui.element("div").classes("state-foot"):
                 self._failure = ui.label().classes("failure")
                 self._phase = ui.label().classes("phase")
+            self._contexts = ui.label().classes("contexts").mark("contexts")
             self._hints = ui.label().classes("hints")
 
     def refresh(self) -> None:
@@ -63,6 +65,9 @@ class StatePanel:
         counts = f"{status.feasible} feasible, {status.failed} failed" if done else ""
         failure = f"last failure: {status.last_failure}" if status.last_failure else ""
         self._failure.set_text(" · ".join(filter(None, (counts, failure))))
+        contexts = contexts_text(status)
+        self._contexts.set_text(f"Context: {contexts}" if contexts else "")
+        self._contexts.set_visibility(bool(contexts))
         self._hints.set_text(" ".join(status.hints))
 
 

@@ -29,14 +29,20 @@ def variable(run: RunBoard, variable: Variable, colours: Colours) -> Options:
     name = variable.name
     made = [e for e in thinned(run.evaluations) if name in e.setpoint]
     values = axis("", colours, 0)
+    if variable.scale == "log":
+        values["type"] = "log"
     bounds = [{"yAxis": variable.minimum}, {"yAxis": variable.maximum}]
+    if variable.choice_names or variable.fixed is not None:
+        bounds = []
+
+    fixed = "" if variable.fixed is None else ", fixed"
 
     def said(evaluation: Evaluation) -> str:
         return set_to(variable, evaluation.setpoint[name])
 
     return options(
         colours,
-        title=title(labelled(name, variable.unit), colours),
+        title=title(labelled(name, variable.unit) + fixed, colours),
         grid=[{"left": 54, "right": 14, "top": 34, "bottom": 26}],
         xAxis=[axis("", colours, 0, min=0, minInterval=1)],
         yAxis=[values | choice_labels(variable, values["axisLabel"])],
@@ -44,14 +50,14 @@ def variable(run: RunBoard, variable: Variable, colours: Colours) -> Options:
             {
                 **scatter(
                     "set-point",
-                    [_trace(e, e.setpoint[name], said(e)) for e in made if e.valid],
+                    [_trace(e, variable.rank(e.setpoint[name]), said(e)) for e in made if e.valid],
                     *("circle", 5, colours.front),
                 ),
                 "markLine": marks(bounds, colours),
             },
             scatter(
                 "failed",
-                [_trace(e, e.setpoint[name], said(e)) for e in made if not e.valid],
+                [_trace(e, variable.rank(e.setpoint[name]), said(e)) for e in made if not e.valid],
                 *("path://M0,0L8,8M8,0L0,8", 8, colours.failed),
                 line=2,
             ),

@@ -60,7 +60,13 @@ class Viewer:
 
     def wants(self, point: Point) -> bool:
         """Return whether a point lies in all intervals that the viewer brushed."""
-        values = {**point.setpoint, **point.objectives}
+        problem = None if self.run is None else self.run.problem
+        places = {
+            v.name: v.rank(point.setpoint[v.name])
+            for v in (problem.variables if problem is not None else ())
+            if v.name in point.setpoint
+        }
+        values = {**point.setpoint, **places, **point.objectives}
         return all(
             any(low <= values.get(name, math.nan) <= high for low, high in intervals)
             for name, intervals in self.brush.items()

@@ -15,7 +15,7 @@ from mobo_tuner.page import chart_parts, model_charts, traces
 from mobo_tuner.page.board import RunBoard
 from mobo_tuner.page.found import EMPTY, show
 from mobo_tuner.page.insights import Insights
-from mobo_tuner.page.model_charts import quality
+from mobo_tuner.page.model_charts import at_contexts, quality
 from mobo_tuner.page.viewer import Table, Viewer
 from mobo_tuner.page.words import limits, number
 
@@ -77,7 +77,7 @@ class VariablesPanel(TracesPanel):
 
 
 class DiagnosticsPanel(TracesPanel):
-    """Every objective and constrained diagnostic over the evaluations, with its limits."""
+    """Every objective, constrained diagnostic, observable and context over the evaluations, with its limits."""
 
     note = (
         "Readings over the index of the evaluation, with one standard deviation; dashed: limits; triangles: "
@@ -165,7 +165,7 @@ class ModelsPanel:
         self._note.set_text(
             f"{chosen['name']} with two standard deviations, and below it the acquisition function, along each "
             f"variable through the {where} point, evaluation {content['index']}; the others stay as they are "
-            f"there. {quality(chosen)}"
+            f"there{at_contexts(content, problem)}. {quality(chosen)}"
         )
         shown = (id(content), chosen["name"], self._viewer.dark)
         if shown != self._shown:

@@ -52,6 +52,7 @@ def insight(run: RecordedRun, index: int | None = None) -> dict[str, Any]:
         "evaluations": len(evaluations),
         "index": index,
         "setpoint": dict(setpoint),
+        "contexts": _contexts(run),
         "outputs": [_fact(fact, names) for fact in facts],
         "slices": {
             name: {
@@ -63,6 +64,13 @@ def insight(run: RecordedRun, index: int | None = None) -> dict[str, Any]:
             for name, s in through.items()
         },
     }
+
+
+def _contexts(run: RecordedRun) -> dict[str, float | None]:
+    """Return the readings of the contexts for which the models speak; None for one that was never measured."""
+    data = run.optimizer.dataset
+    readings = {c.name: data.last_reading(c.name) for c in run.problem.context}
+    return {name: None if reading is None else reading[1] for name, reading in readings.items()}
 
 
 def _fact(fact: ModelFacts, names: Sequence[str]) -> dict[str, Any]:

@@ -76,6 +76,7 @@ def render_page(run: RecordedRun, folder: Path) -> str:
             trajectories=plots.trajectories(run),
             constraints=[(c, *_satisfaction(run, c)) for c in problem.constraints],
             constraint_plots=plots.constraints(run),
+            context_plots=plots.contexts(run),
             failures=failures(run),
             facts=facts,
             quality=plots.quality(facts),

@@ -68,8 +68,10 @@ def fronts(run: RecordedRun, recommended: Sequence[Recommendation]) -> list[Plot
 def parallel_coordinates(run: RecordedRun, recommended: Sequence[Recommendation]) -> ParallelAxes:
     """Return objectives and variables of the front and of other feasible evaluations."""
     problem = run.problem
-    values = np.hstack([run.objectives, run.setpoints])
-    front = np.hstack([run.front_objectives, run.setpoints[run.front]])
+    columns = [_ranks(v, run.setpoints[:, j]) for j, v in enumerate(problem.variables)]
+    setpoints = np.column_stack(columns)
+    values = np.hstack([run.objectives, setpoints])
+    front = np.hstack([run.front_objectives, setpoints[run.front]])
     others = np.setdiff1d(np.flatnonzero(run.feasible), run.front)
     labels = [label(o) for o in problem.objectives]
     axes = [
@@ -80,8 +82,8 @@ def parallel_coordinates(run: RecordedRun, recommended: Sequence[Recommendation]
     ]
     axes += [
         Axis(
-            v.minimum,
-            v.maximum,
+            v.rank(v.minimum),
+            v.rank(v.maximum),
             f"{v.name} [{v.unit}]" if v.unit else v.name,
             named=_choices(v),
         )
@@ -112,8 +114,9 @@ def trajectories(run: RecordedRun) -> list[Plot]:
                 if v.name == name
             ]
         ).reshape(-1, 2)
-        values = run.setpoints[:, j]
-        shown = [*bounds.ravel(), *values, variable.minimum, variable.maximum]
+        values, bounds = _ranks(variable, run.setpoints[:, j]), _ranks(variable, bounds)
+        ends = _ranks(variable, np.array([variable.minimum, variable.maximum]))
+        shown = [*bounds.ravel(), *values, *ends]
         plot = Plot(
             _indices(run),
             replace(
@@ -132,8 +135,13 @@ def trajectories(run: RecordedRun) -> list[Plot]:
 
 
 def _choices(variable: Variable) -> list[tuple[float, str]]:
-    """Return the choices of a variable with their names, if they have names."""
-    return list(zip(variable.choices, variable.choice_names, strict=False))
+    """Return places and names of the choices of a variable, if they have names."""
+    return [(float(i), name) for i, name in enumerate(variable.choice_names)]
+
+
+def _ranks(variable: Variable, values: Array) -> Array:
+    """Return where values of a variable are shown, any shape."""
+    return np.array([variable.rank(v) for v in values.ravel()]).reshape(values.shape)
 
 
 def constraints(run: RecordedRun) -> list[Plot]:
@@ -155,6 +163,20 @@ def constraints(run: RecordedRun) -> list[Plot]:
         for limit in limits:
             plot.level(limit, "k-bad", "limit")
         _kinds(plot, run, values)
+        plots.append(plot)
+    return plots
+
+
+def contexts(run: RecordedRun) -> list[Plot]:
+    """Return every context over the evaluations; a gap is where it was not measured."""
+    plots = []
+    for context in run.problem.context:
+        values, stddevs = run.readings(context.name)
+        axis = Axis.around(values, f"[{context.unit}]" if context.unit else "", margin=0.08)
+        plot = Plot(_indices(run), axis, context.name, SMALL)
+        plot.line(run.indices, values, "k-faint")
+        plot.spans(run.indices, values - stddevs, values + stddevs, "k-e thin")
+        plot.marks(run.indices, values, "k-a")
         plots.append(plot)
     return plots
 
