@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from mobo_tuner.client import Evaluation, Front, Point
 from mobo_tuner.core.problem import Problem
-from mobo_tuner.page import chart_parts, charts, traces
+from mobo_tuner.page import chart_parts, charts, model_charts, traces
 from mobo_tuner.page.board import RunBoard
 
 COLOURS = [chart_parts.DARK, chart_parts.LIGHT]
@@ -216,3 +217,53 @@ def test_a_chosen_point_that_left_the_front_stays_chosen() -> None:
     assert point.setpoint == run.evaluations[4].setpoint
     assert run.point(5) is None  # infeasible
     assert run.point(None) is run.point(99) is None
+
+
+def test_choices_without_an_order_are_drawn_side_by_side_whatever_stands_for_them() -> None:
+    problem = Problem.from_dict(
+        {
+            "variables": {
+                "filter": {"choices": ["foil", "mesh", "none"], "values": [0.0, 1.0, 1000.0]},
+                "gain": {"min": 1.0, "max": 100.0, "scale": "log"},
+                "spare": {"fixed": 3.0},
+            },
+            "objectives": {"f0": {"reference": 2.0}, "f1": {"reference": 2.0}},
+        }
+    )
+    run = RunBoard("run")
+    run.problem = problem
+    setpoints = [{"filter": f, "gain": 10.0, "spare": 3.0} for f in (1000.0, 0.0, 1.0)]
+    for index, setpoint in enumerate(setpoints):
+        run.add(replace(make_evaluation(index, 2), setpoint=setpoint))
+    places = [Point(i, s, {"f0": 1.0, "f1": 1.0}, {}) for i, s in enumerate(setpoints)]
+    run.front = Front("run", tuple(places), 1.0, 1.0, {}, {})
+    plot = traces.variable(run, problem.variables[0], COLOURS[0])
+    assert [point["value"][1] for point in series(plot, "set-point")] == [2.0, 0.0, 1.0]
+    coordinates = charts.parallel(run, None, COLOURS[0])
+    assert [axis["id"] for axis in coordinates["parallelAxis"]] == ["f0", "f1", "filter", "gain"]
+    assert coordinates["parallelAxis"][3]["type"] == "log"
+    assert [line["value"][2] for line in coordinates["series"][0]["data"]] == [2.0, 0.0, 1.0]
+    content = {
+        "setpoint": setpoints[0],
+        "slices": {
+            "filter": {
+                "values": [0.0, 1.0, 1000.0],
+                "means": {"f0": [1.0, 2.0, 3.0]},
+                "stddevs": {"f0": [0.1, 0.2, 0.3]},
+                "acquisition": [0.0, 1.0, 0.5],
+            }
+        },
+    }
+    slices = model_charts.model_slice(content, problem.variables[0], "f0", COLOURS[0])
+    assert "line" not in {part["type"] for part in slices["series"] if part["data"]}
+    assert series(slices, "mean") == [[0.0, 1.0], [1.0, 2.0], [2.0, 3.0]]
+    json.dumps([plot, coordinates, slices], allow_nan=False)
+
+
+def test_the_models_say_for_which_contexts_they_speak() -> None:
+    problem = Problem.from_dict(
+        make_problem(2).to_dict() | {"context": {"hall": {"unit": "degC"}, "flow": {}}}
+    )
+    content = {"contexts": {"hall": 22.456, "flow": None}}
+    assert model_charts.at_contexts(content, problem) == ", for the last reading of hall 22.46 degC"
+    assert model_charts.at_contexts({}, problem) == ""

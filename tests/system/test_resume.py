@@ -43,9 +43,16 @@ def digest(folder: Path) -> dict[str, str]:
     }
 
 
-def killed_run(start: Callable[..., Run], module: str, evaluations: int, budget: int) -> Run:
+def killed_run(
+    start: Callable[..., Run],
+    module: str,
+    evaluations: int,
+    budget: int,
+    config: str = "toy.yaml",
+    speed: str = "20",
+) -> Run:
     """A run in which one process, or mobo.py itself, was killed."""
-    run = start("--evaluations", str(budget), "--seed", "3", "--speed", "20")
+    run = start("--evaluations", str(budget), "--seed", "3", "--speed", speed, config=config)
     run.until(lambda: len(run.evaluations()) >= evaluations, f"{evaluations} evaluations")
     if module:
         os.kill(run.node(module), signal.SIGKILL)
@@ -102,6 +109,31 @@ def test_a_run_whose_tuner_was_killed_goes_on_and_is_rebuilt_from_its_bag(
     assert cut == run.evaluations()[: len(cut)]
     out, _ = mobo("replay", bag)
     assert "12 identical bit for bit" in out
+
+
+def test_a_run_with_a_context_is_killed_resumed_and_replayed_bit_for_bit(
+    start: Callable[..., Run],
+) -> None:
+    killed = killed_run(start, "", 7, 500, "context.yaml", "100")
+    told = killed.evaluations()
+    charges = [record["diagnostics"]["charge"][0] for record in told]
+    assert len(set(charges)) == len(charges)  # nobody sets it, and it changes
+    budget = len(told) + 6  # beyond the initial design
+    run = start("--evaluations", str(budget), resumed="run", run_id="more")
+    status, out, err = run.wait()
+    assert (status, err) == (0, "")
+    assert run.evaluations()[: len(told)] == told
+    assert f"{budget} identical bit for bit" in mobo("replay", run.folder)[0]
+    for message in mcap_messages(run.folder / "bag", "/evaluation"):
+        [charge] = message.contexts
+        assert charge.value == run.evaluations()[message.index]["diagnostics"]["charge"][0]
+    last = mcap_messages(run.folder / "bag", "/status")[-1]
+    assert [(c.name, c.unit) for c in last.contexts] == [("charge", "nC")]
+    assert last.contexts[0].value == run.evaluations()[-1]["diagnostics"]["charge"][0]
+    assert not last.stale_contexts
+    mobo("export", run.folder)
+    assert "charge" in (run.folder / "evaluations.csv").read_text().splitlines()[1]
+    assert 'id="contexts"' in (run.folder / "report.html").read_text()
 
 
 def test_bounds_constraints_and_objectives_may_change_when_a_killed_run_goes_on(

@@ -108,11 +108,13 @@ def model_slice(
         ],
     )
     if variable.choice_names:
-        _separate(plot["series"], low, width)
+        _separate(plot["series"], low, width, colours)
     return plot
 
 
-def _separate(series: list[Options], low: list[list[Any]], width: list[list[Any]]) -> None:
+def _separate(
+    series: list[Options], low: list[list[Any]], width: list[list[Any]], colours: Colours
+) -> None:
     """Draw what stands for choices without an order as points and bars, which nothing connects."""
     bars = [
         [x, bottom, bottom, bottom, bottom + extent]
@@ -120,11 +122,12 @@ def _separate(series: list[Options], low: list[list[Any]], width: list[list[Any]
         if bottom is not None and extent is not None
     ]
     first, second, mean, gain = series
-    colour = mean["lineStyle"]["color"]
-    first |= {"data": [], "stack": None}
-    second |= error_bars(second["name"], bars, colour) | {"data": bars}
-    mean |= {"type": "scatter", "symbol": "circle", "symbolSize": 9, "itemStyle": {"color": colour}}
-    gain |= {"type": "bar", "barWidth": 12, "itemStyle": {"color": gain["lineStyle"]["color"]}}
+    first["data"] = []
+    second.clear()
+    second |= error_bars("two standard deviations", bars, colours)
+    points = {"symbol": "circle", "symbolSize": 9, "itemStyle": {"color": colours.front}}
+    mean |= {"type": "scatter", **points}
+    gain |= {"type": "bar", "barWidth": 12, "itemStyle": {"color": colours.last}}
 
 
 def at_contexts(content: Mapping[str, Any], problem: Problem) -> str:
