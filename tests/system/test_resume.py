@@ -118,11 +118,12 @@ def test_a_run_with_a_context_is_killed_resumed_and_replayed_bit_for_bit(
     told = killed.evaluations()
     charges = [record["diagnostics"]["charge"][0] for record in told]
     assert len(set(charges)) == len(charges)  # nobody sets it, and it changes
-    budget = len(told) + 6  # beyond the initial design
+    budget = 17  # the initial design has 14 evaluations
     run = start("--evaluations", str(budget), resumed="run", run_id="more")
-    status, out, err = run.wait()
+    status, _, err = run.wait()
     assert (status, err) == (0, "")
     assert run.evaluations()[: len(told)] == told
+    assert run.evaluations()[-1]["source"] == "model"
     assert f"{budget} identical bit for bit" in mobo("replay", run.folder)[0]
     for message in mcap_messages(run.folder / "bag", "/evaluation"):
         [charge] = message.contexts
