@@ -303,6 +303,11 @@ class Environment:
             path.open("w").close()
         except OSError as error:
             owner = path.owner() if path.exists() else self._root.owner()
+            if self.folder.is_dir() and not os.access(self.python, os.X_OK):
+                raise SetupError(
+                    f"'{self.folder}' was made with {os.path.realpath(self.python)}, which this account cannot run: "
+                    "use a copy of the folder that is your own"
+                ) from None
             raise SetupError(
                 f"'{self._root}' needs a set-up, and its lock file cannot be written "
                 f"({error.strerror}): let its owner, {owner}, run mobo.py once, or use a copy of "

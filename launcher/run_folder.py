@@ -188,23 +188,32 @@ class RunFolder:
         return facts
 
     def summary(self) -> dict[str, Any]:
-        """Return the content of `summary.json`, or of the last evaluation in the journal; may be empty.
+        """Return the content of `summary.json`, or what the last evaluation in a newer journal says; may be empty.
 
         Raises:
             RunFolderError: If it cannot be read.
         """
         summary = self._read(SUMMARY_FILE)
-        if summary or not self.has_journal:
+        if self.is_summary_current or not self.has_journal:
             return summary
         last = next((r for r in self._last_records() if r.get("type") == "evaluation"), None)
         if last is None:
-            return {}
-        return {"evaluations": last.get("index", -1) + 1, "hypervolume": last.get("hypervolume")}
+            return summary
+        count = {"evaluations": last.get("index", -1) + 1}
+        return {**summary, **count, "hypervolume": last.get("hypervolume")}
 
     @property
     def has_summary(self) -> bool:
         """Whether the run has a summary."""
         return (self.path / SUMMARY_FILE).is_file()
+
+    @property
+    def is_summary_current(self) -> bool:
+        """Whether the run has a summary, and nothing came into its journal since."""
+        with contextlib.suppress(OSError):
+            summary = (self.path / SUMMARY_FILE).stat().st_mtime_ns
+            return not self.has_journal or summary >= (self.path / JOURNAL_FILE).stat().st_mtime_ns
+        return False
 
     def row(self) -> list[str]:
         """Return the row of a table: id, state, evaluations, hypervolume, start.
@@ -213,7 +222,7 @@ class RunFolder:
             RunFolderError: If it cannot be read.
         """
         facts = self.facts()
-        summary = self._summary_head() or self.summary()
+        summary = (self.is_summary_current and self._summary_head()) or self.summary()
         return [
             self.run_id,
             _text(facts.get("state")),

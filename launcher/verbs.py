@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -16,6 +15,7 @@ from launcher.environment import (
     OFFLINE_STAGES,
     PAGE_STAGES,
     STAGES,
+    Environment,
     clean_environment,
 )
 from launcher.errors import LauncherError, RunFolderError, UsageError
@@ -24,7 +24,7 @@ from launcher.machine import Machine, split_command
 from launcher.processes import Interrupted, Processes
 from launcher.programs import LONG, THREADS, open_project
 from launcher.run import check_arguments, now, open_domain
-from launcher.run_folder import JOURNAL_FILE, RunFolder, is_bag, table
+from launcher.run_folder import RunFolder, is_bag, table
 from launcher.supervisor import EXIT_LIMIT
 
 TEST_TIMEOUT = 3600.0  # [s]
@@ -150,17 +150,26 @@ def list_runs(options: argparse.Namespace) -> None:
 
 
 def show(options: argparse.Namespace) -> None:
-    """Print the result of a run; the report of a run of nodes that stay is created first.
+    """Print the result of a run; its report is created first if the journal is newer, as with nodes that stay.
 
     Raises:
-        UsageError, SetupError, RunFolderError, Interrupted, OSError
+        UsageError: If its journal is damaged; the result is printed nevertheless.
+        SetupError, RunFolderError, Interrupted, OSError
     """
     folder = RunFolder.find(options.run, options.runs_dir)
-    ended = folder.has_journal and folder.facts().get("state") in ("finished", "canceled", "failed")
-    if ended and not folder.has_summary:
-        with open_project(options.root) as project:
-            project.ask("mobo_tuner.runs.report", folder.path)
-    print(folder.description())
+    ended = folder.facts().get("state") in ("finished", "canceled", "failed")
+    needs_report = folder.has_journal and ended and not folder.is_summary_current
+    is_ready = not Environment(options.root, STAGES).stale_stages()
+    try:
+        if folder.has_journal and (is_ready or needs_report):
+            with open_project(options.root) as project:
+                project.ask("mobo_tuner.runs.journal", folder.path)  # says what is wrong with it
+                if needs_report:
+                    project.ask("mobo_tuner.runs.report", folder.path)
+    finally:
+        print(folder.description(), flush=True)
+    if folder.has_journal and not (is_ready or needs_report):
+        print("mobo.py: the journal was not checked: .venv needs a set-up", file=sys.stderr)
 
 
 def report(options: argparse.Namespace) -> None:
@@ -235,7 +244,7 @@ def _rebuild(options: argparse.Namespace, path: Path, run_id: str | None) -> Non
         arguments = (bag, scratch, *_which(options))
         project.ask("mobo_tuner.runs.rebuild", *arguments, show=True, timeout=LONG)
         folder = RunFolder.create(options.runs_dir, run_id, "rebuilt")
-        shutil.copy(Path(scratch, JOURNAL_FILE), folder.path)
+        folder.adopt(Path(scratch))
         folder.record(
             {"run_id": folder.run_id, "state": "rebuilt", "started": now(), "bag": str(bag)}
         )

@@ -216,6 +216,11 @@ def test_another_account_s_folder_is_used_as_it_is_or_its_owner_is_named() -> No
             with pytest.raises(SetupError) as caught:
                 Environment(root, FAKE_STAGES[:2]).set_up(processes)
             Environment(root, ()).set_up(processes)  # there is nothing to do
+        python = root / ".venv" / "bin" / "python"
+        python.parent.mkdir(parents=True)
+        python.symlink_to(root / "private-python")
+        with another_account(root), pytest.raises(SetupError, match="private-python"):
+            Environment(root, FAKE_STAGES[:2]).set_up(processes)
     message = str(caught.value)
     assert folder in message
     assert owner in message

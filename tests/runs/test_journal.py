@@ -12,12 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mobo_tuner.runs import journal as journal_module
 from mobo_tuner.runs.journal import (
+    COUNT_FILE_NAME,
     FILE_NAME,
     Journal,
     JournalError,
     JournalWriteError,
     append_record,
+    journal_line,
     read_journal,
 )
 
@@ -76,6 +79,7 @@ def test_numbers_that_are_not_finite_become_null_and_the_json_is_strict(tmp_path
         "flag": True,
         "index": 7,
         "line": 2,
+        "sum": line[-18:-2],
     }
 
 
@@ -104,11 +108,12 @@ def test_a_new_journal_gets_its_name_only_once_whole(
         monkeypatch.setattr(os, "link", link)
     with Journal.create(tmp_path, [START]) as journal:
         journal.append({"type": "end"})
-    assert [path.name for path in tmp_path.iterdir()] == [FILE_NAME]
+    kept = {FILE_NAME, COUNT_FILE_NAME}
+    assert {path.name for path in tmp_path.iterdir()} == kept
     assert [r["type"] for r in read_journal(tmp_path)] == ["start", "end"]
     with pytest.raises(FileExistsError, match="exists already"):
         Journal.create(tmp_path, [{"type": "start", "run_id": "other"}])
-    assert [path.name for path in tmp_path.iterdir()] == [FILE_NAME]
+    assert {path.name for path in tmp_path.iterdir()} == kept
     assert len(read_journal(tmp_path)) == 2
 
 
@@ -166,15 +171,73 @@ def test_a_damaged_earlier_line_is_an_error_that_names_it(tmp_path: Path) -> Non
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("order", ["acd", "abbcd", "acbd", "abd"])
-def test_a_line_that_is_missing_or_was_moved_is_an_error(tmp_path: Path, order: str) -> None:
+@pytest.mark.parametrize(
+    ("order", "line"), [("acd", 2), ("abbcd", 3), ("acbd", 2), ("abd", 3), ("abc", 4), ("a", 2)]
+)
+def test_a_line_that_is_missing_or_was_moved_is_an_error(
+    tmp_path: Path, order: str, line: int
+) -> None:
     with Journal.create(tmp_path, [START, {"type": "change", "index": 0}]) as journal:
         journal.append({"type": "queued"})
     append_record(tmp_path, {"type": "end"})
     assert [r["type"] for r in read_journal(tmp_path)] == ["start", "change", "queued", "end"]
     lines = dict(zip("abcd", journal.path.read_bytes().splitlines(), strict=True))
     journal.path.write_bytes(b"\n".join(lines[name] for name in order))
-    with pytest.raises(JournalError, match="is missing, or was moved"):
+    with pytest.raises(JournalError, match=rf"^line {line} of .*{FILE_NAME}.* missing"):
+        read_journal(tmp_path)
+
+
+def test_whatever_is_changed_in_a_line_is_an_error_that_names_it(tmp_path: Path) -> None:
+    with Journal.create(tmp_path, [START, {"type": "change", "index": 0}]) as journal:
+        journal.append({"type": "evaluation", "index": 0, "setpoint": {"x": 1.25}})
+    append_record(tmp_path, {"type": "end"})
+    whole = journal.path.read_bytes()
+    lines = whole.splitlines(keepends=True)
+    rng = np.random.default_rng(5)
+    for number, line in enumerate(lines, start=1):
+        for place in rng.choice(len(line) - 2, 20, replace=False):
+            other = b"7" if line[place : place + 1] != b"7" else b"8"
+            changed = line[:place] + other + line[place + 1 :]
+            journal.path.write_bytes(b"".join((*lines[: number - 1], changed, *lines[number:])))
+            with pytest.raises(JournalError, match=rf"^line {number} of|begin with a start"):
+                read_journal(tmp_path)
+    for stripped in (lines[2].rpartition(b',"sum"')[0] + b"}\n", lines[2].replace(b",", b", ")):
+        journal.path.write_bytes(b"".join((*lines[:2], stripped, lines[3])))
+        with pytest.raises(JournalError, match=r"^line 3 of .* was changed"):
+            read_journal(tmp_path)
+    journal.path.write_bytes(whole)
+    assert len(read_journal(tmp_path)) == 4
+    assert journal_module.main([str(tmp_path)]) == 0
+
+
+def test_a_last_line_that_was_whole_is_not_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Journal.create(tmp_path, [START]) as journal:
+        journal.append({"type": "evaluation", "index": 0})
+    journal.path.write_bytes(journal.path.read_bytes()[:-9])
+    assert journal_module.main([str(tmp_path)]) == 1
+    [sentence] = capsys.readouterr().err.splitlines()
+    assert sentence.startswith("line 2 of the journal")
+    (tmp_path / COUNT_FILE_NAME).write_text("1\n")  # as after a kill amid the line
+    assert len(read_journal(tmp_path)) == 1
+    append_record(tmp_path, {"type": "end"})
+    assert [r["type"] for r in read_journal(tmp_path)] == ["start", "end"]
+
+
+def test_journals_of_before_have_neither_checksums_nor_a_count(tmp_path: Path) -> None:
+    lines = [journal_line(START | {"line": 1}), journal_line({"type": "queued", "line": 2})]
+    (tmp_path / FILE_NAME).write_bytes(b"".join(lines))
+    assert read_journal(tmp_path) == [START, {"type": "queued"}]
+    append_record(tmp_path, {"type": "move"})  # from here on there are
+    append_record(tmp_path, {"type": "state"})
+    assert [r["type"] for r in read_journal(tmp_path)] == ["start", "queued", "move", "state"]
+    kept = (tmp_path / FILE_NAME).read_bytes()
+    (tmp_path / FILE_NAME).write_bytes(kept.replace(b'"move"', b'"mode"'))
+    with pytest.raises(JournalError, match=r"^line 3 of .* was changed"):
+        read_journal(tmp_path)
+    (tmp_path / FILE_NAME).write_bytes(b"".join(kept.splitlines(keepends=True)[:3]))
+    with pytest.raises(JournalError, match=r"^line 4 of .* missing"):
         read_journal(tmp_path)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,7 +12,7 @@ import pytest
 from mobo_tuner.core import Optimizer, Problem, ProblemError
 from mobo_tuner.runs import replay
 from mobo_tuner.runs.history import READBACK, History
-from mobo_tuner.runs.journal import FILE_NAME, JournalError, read_journal
+from mobo_tuner.runs.journal import FILE_NAME, JournalError, journal_line, read_journal
 from mobo_tuner.runs.optimizer_settings import make_optimizer
 from mobo_tuner.runs.recorded_run import RecordedRun
 from mobo_tuner.runs.records import ForgetRecord, QueuedRecord
@@ -200,13 +199,10 @@ def test_replay_says_whether_the_suggestions_are_the_same(
     count = LENGTH - operators
     assert f"{count} suggestions computed again, {count} identical" in said
 
-    lines = (folder / "run" / FILE_NAME).read_text().splitlines()
-    number, record = next(
-        (n, json.loads(line)) for n, line in enumerate(lines) if '"source":"model"' in line
-    )
+    records = read_journal(folder / "run")
+    record = next(record for record in records if record.get("source") == "model")
     record["setpoint"]["x1"] += 1e-12
-    lines[number] = json.dumps(record)
-    (tmp_path / FILE_NAME).write_text("\n".join(lines) + "\n")
+    (tmp_path / FILE_NAME).write_bytes(b"".join(map(journal_line, records)))
     assert replay.main([str(tmp_path)]) == 1
     assert f"{record['index']}: then" in capsys.readouterr().out
 

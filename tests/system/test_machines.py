@@ -27,7 +27,7 @@ from launcher.ros_domain import RosDomain
 from launcher.supervisor import EXIT_LIMIT
 from tests.support.mobo_run import ROOT, TIMEOUT, Run
 
-FILES = {"bag", "config.yaml", "journal.jsonl", "log", "run.json", "summary.json"}
+FILES = {"bag", "config.yaml", "journal.jsonl", "journal.lines", "log", "run.json", "summary.json"}
 PROGRAM = "python examples/my_machine.py"
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from mobo_tuner.runs.journal import FILE_NAME, Journal, JournalError
+from mobo_tuner.runs.journal import COUNT_FILE_NAME, FILE_NAME, Journal, JournalError
 from mobo_tuner.runs.recorded_run import RecordedRun
 from mobo_tuner.runs.report import command as report
 from tests.support.run_folders import evaluation, seven_objectives, write_run
@@ -50,7 +50,8 @@ def test_the_command_writes_everything_and_prints_the_table(
     for name in ("hypervolume.png", "front.png"):
         assert (mixed / name).read_bytes().startswith(PNG)
     names = {path.name for path in mixed.iterdir()}
-    assert names == {FILE_NAME, "summary.json", "report.html", "hypervolume.png", "front.png"}
+    made = {"summary.json", "report.html", "hypervolume.png", "front.png"}
+    assert names == {FILE_NAME, COUNT_FILE_NAME, *made}
 
 
 def test_a_folder_without_a_journal_is_one_sentence(

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from mobo_tuner.runs.journal import FILE_NAME
+from mobo_tuner.runs.journal import append_record, journal_line, read_journal
 from mobo_tuner.runs.recorded_run import RecordedRun
 from mobo_tuner.runs.records import ForgetRecord, to_json
 from mobo_tuner.runs.report.models import model_facts
@@ -110,9 +110,9 @@ def changed_and_resumed(folder: Path) -> Path:
         run.step()
     run.log.close()
     path = folder / "journal.jsonl"
-    start, *rest = path.read_text().splitlines()
-    content = json.loads(start) | {"resumed_from": {"run_id": "earlier", "evaluations": 5}}
-    path.write_text("\n".join([json.dumps(content), *rest]) + "\n")
+    start, *rest = read_journal(folder)
+    start["resumed_from"] = {"run_id": "earlier", "evaluations": 5}
+    path.write_bytes(b"".join(journal_line(record) for record in (start, *rest)))
     return folder
 
 
@@ -146,9 +146,7 @@ def test_the_summary_in_words(mixed: Path) -> None:
 
 
 def test_a_withdrawn_evaluation_is_neither_failed_nor_on_the_front(mixed: Path) -> None:
-    with (mixed / FILE_NAME).open("a") as journal:
-        record = ForgetRecord(3000.0, 8, 2, withdrawn=True)
-        journal.write(json.dumps(to_json(record)) + "\n")
+    append_record(mixed, to_json(ForgetRecord(3000.0, 8, 2, withdrawn=True)))
     text = read(mixed)
     assert "5 evaluations met every constraint, 1 failed, and 1 broke a constraint" in text
     assert "withdrew 1 evaluation" in text

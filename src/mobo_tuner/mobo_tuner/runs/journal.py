@@ -1,18 +1,27 @@
 """The journal of a run: one JSON object per line, on disk before the run continues.
 
 A run's folder contains `journal.jsonl`, from which its report is made. `records` defines the records. The
-JSON is strict: a number that is not finite is written as null. Each line has its number, so that a line that
-is missing or was moved is noticed.
+JSON is strict: a number that is not finite is written as null.
+
+Each line ends with its number and a checksum of itself and of the checksum before, so that a line that was
+changed, moved or removed is noticed. `journal.lines` beside it has the number of lines, so that one that is
+missing at the end is noticed, too. Journals of before have none of these, or numbers alone.
+
+`python -m mobo_tuner.runs.journal RUN` checks a journal.
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import errno
 import fcntl
+import hashlib
 import json
 import math
 import os
+import re
+import sys
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -23,8 +32,14 @@ import numpy as np
 from mobo_tuner.errors import UserError
 
 FILE_NAME = "journal.jsonl"
+COUNT_FILE_NAME = "journal.lines"
 _NUMBER = "line"  # key of the number of a line, from 1
+_SUM = "sum"  # key of its checksum, the last one of a line
+_SUM_DIGITS = 16
+_SEAL = re.compile(rb',"sum":"([0-9a-f]{16})"}$')
 MAX_BYTES = 1 << 30  # largest journal that is read: half a million evaluations
+
+_ADVICE = "'rebuild' makes the run from its bag"
 
 JsonRecord = dict[str, Any]
 
@@ -52,6 +67,7 @@ class Journal:
         self._descriptor = descriptor
         self._size = 0
         self._count = 0  # lines
+        self._sum = b""  # of the last line
         self._lock = threading.Lock()  # one line at a time, whichever thread it comes from
 
     @classmethod
@@ -67,18 +83,19 @@ class Journal:
             JournalWriteError: If the folder or the file cannot be written.
             ValueError: If a record cannot be written as JSON.
         """
-        lines = [_numbered(record, n) for n, record in enumerate(records, start=1)]
+        for record in records:
+            journal_line(record)
         folder = Path(run_dir)
         path = folder / FILE_NAME
         try:
-            return cls._create(folder, path, lines)
+            return cls._create(folder, path, records)
         except (FileExistsError, JournalWriteError):
             raise
         except OSError as error:
             raise JournalWriteError(path, error) from None
 
     @classmethod
-    def _create(cls, folder: Path, path: Path, lines: Sequence[bytes]) -> Journal:
+    def _create(cls, folder: Path, path: Path, records: Sequence[Mapping[str, Any]]) -> Journal:
         folder.mkdir(parents=True, exist_ok=True)
         # A journal always contains its start, whenever its writer is killed.
         draft = folder / f".{FILE_NAME}.{os.getpid()}"
@@ -89,9 +106,12 @@ class Journal:
             with contextlib.suppress(OSError):  # some network disks have no locks
                 fcntl.flock(journal._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             with journal._lock:
-                journal._write(*lines)
+                journal._write(*records)
+            if not path.exists():  # what counts the lines of a journal that was deleted is void
+                (folder / COUNT_FILE_NAME).unlink(missing_ok=True)
             _put(draft, path)
             _sync_folder(folder)
+            _write_count(path, journal._count)
         except BaseException:
             journal.close()
             raise
@@ -109,7 +129,8 @@ class Journal:
         if not isinstance(record.get("type"), str):
             raise ValueError(f"a journal record needs a type, which {dict(record)!r:.80} lacks")
         with self._lock:
-            self._write(_numbered(record, self._count + 1))
+            self._write(record)
+            _write_count(self.path, self._count)
 
     def close(self) -> None:
         """Close the file; repeated calls have no effect."""
@@ -123,10 +144,10 @@ class Journal:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _write(self, *lines: bytes) -> None:
+    def _write(self, *records: Mapping[str, Any]) -> None:
         if self._descriptor < 0:
             raise ValueError(f"the journal '{self.path}' is closed")
-        content = b"".join(lines)
+        content, last = _sealed(records, self._count, self._sum)
         try:
             if (
                 os.fstat(self._descriptor).st_nlink == 0
@@ -142,7 +163,8 @@ class Journal:
                 os.ftruncate(self._descriptor, self._size)
             raise JournalWriteError(self.path, error) from None
         self._size += len(content)
-        self._count += len(lines)
+        self._count += len(records)
+        self._sum = last
 
 
 def append_record(run_dir: str | Path, record: Mapping[str, Any]) -> None:
@@ -159,7 +181,9 @@ def append_record(run_dir: str | Path, record: Mapping[str, Any]) -> None:
         with path.open("r+b") as file:
             content = file.read()
             end = content.rfind(b"\n") + 1
-            line = _numbered(record, content.count(b"\n") + 1)
+            count = content.count(b"\n")
+            seal = _SEAL.search(content[:end].rpartition(b"\n")[0])
+            line, _ = _sealed([record], count, seal[1] if seal else b"")
             file.truncate(end)
             file.seek(end)
             file.write(line)
@@ -167,19 +191,21 @@ def append_record(run_dir: str | Path, record: Mapping[str, Any]) -> None:
             os.fsync(file.fileno())
     except OSError as error:
         raise JournalWriteError(path, error) from None
+    _write_count(path, count + 1)
 
 
 def read_journal(path: str | Path) -> list[JsonRecord]:
     """Read a journal's records in order.
 
-    An incomplete or damaged last line is ignored, because a killed process may leave one.
+    An incomplete or damaged last line is ignored, because a killed process may leave one, unless it was
+    whole once.
 
     Args:
         path: Path of the journal, or of its run's folder.
 
     Raises:
         JournalError: If it cannot be read, an earlier line is not a record, the first is not a start, or a
-            line is missing.
+            line is missing or was changed.
     """
     file = Path(path)
     if file.is_dir():
@@ -187,10 +213,18 @@ def read_journal(path: str | Path) -> list[JsonRecord]:
     try:
         if file.stat().st_size > MAX_BYTES:
             raise JournalError(f"the journal '{file}' is larger than the {MAX_BYTES} bytes allowed")
+        count = _read_count(file)  # before the lines, to which an active run adds
         content = file.read_bytes()
     except OSError as error:
         raise JournalError(f"the journal '{file}' cannot be read: {error.strerror}") from None
-    return parse_journal(content, f"the journal '{file}'")
+    name = f"the journal '{file}'"
+    records = parse_journal(content, name)
+    if len(records) < count:
+        raise JournalError(
+            f"line {len(records) + 1} of {name} is missing or damaged: {count} lines were written; "
+            f"{_ADVICE}"
+        )
+    return records
 
 
 def parse_journal(content: bytes, name: str) -> list[JsonRecord]:
@@ -198,29 +232,80 @@ def parse_journal(content: bytes, name: str) -> list[JsonRecord]:
 
     Raises:
         JournalError: If a line before the last is not a record, the first is not a start, or a line is
-            missing.
+            missing or was changed.
     """
     lines = content.split(b"\n")
     while lines and not lines[-1].strip():
         lines.pop()
-    records = []
+    records: list[JsonRecord] = []
+    before = b""
     for number, line in enumerate(lines, start=1):
         record = _record(line)
         if record is not None:
             if record.pop(_NUMBER, number) != number:
                 raise JournalError(
-                    f"line {number} of {name} is not the one that was written there: one is missing, or was moved"
+                    f"line {number} of {name} is not the one that was written there: one is missing, or was moved; "
+                    f"{_ADVICE}"
                 )
+            given = record.pop(_SUM, None)
+            seal = _SEAL.search(line) if given is not None else None
+            expected = _checksum(before, line[: seal.start()]) if seal else b""
+            if (given is not None or before) and (not seal or seal[1] != expected):
+                raise JournalError(
+                    f"line {number} of {name} is not as it was written: it was changed; {_ADVICE}"
+                )
+            before = expected
             records.append(record)
         elif number < len(lines):
-            raise JournalError(f"line {number} of {name} is not a record")
+            raise JournalError(f"line {number} of {name} is not a record; {_ADVICE}")
     if not records or records[0]["type"] != "start":
         raise JournalError(f"{name} does not begin with a start record")
     return records
 
 
-def _numbered(record: Mapping[str, Any], number: int) -> bytes:
-    return journal_line({**record, _NUMBER: number})
+def _sealed(records: Sequence[Mapping[str, Any]], count: int, last: bytes) -> tuple[bytes, bytes]:
+    """Return records as lines with their numbers and checksums, and the last checksum.
+
+    Args:
+        records: Records to write.
+        count: Number of lines before.
+        last: Checksum of the line before; empty if there is none.
+
+    Raises:
+        ValueError: If a record cannot be written as JSON.
+    """
+    lines = []
+    for number, record in enumerate(records, start=count + 1):
+        body = journal_line({**record, _NUMBER: number})[: -len(b"}\n")]
+        last = _checksum(last, body)
+        lines.append(b'%b,"%b":"%b"}\n' % (body, _SUM.encode(), last))
+    return b"".join(lines), last
+
+
+def _checksum(last: bytes, body: bytes) -> bytes:
+    return hashlib.sha256(last + body).hexdigest()[:_SUM_DIGITS].encode()
+
+
+def _write_count(path: Path, count: int) -> None:
+    """Write the number of a journal's lines beside it, in place: the disk may be full by now.
+
+    It is written after the lines are on disk, so that it is never ahead of them; if it cannot be
+    written, the last lines are not counted.
+    """
+    with contextlib.suppress(OSError):
+        descriptor = os.open(path.with_name(COUNT_FILE_NAME), os.O_WRONLY | os.O_CREAT, 0o644)
+        try:
+            os.pwrite(descriptor, b"%12d\n" % count, 0)
+        finally:
+            os.close(descriptor)
+
+
+def _read_count(path: Path) -> int:
+    """Return the number of lines that were written to a journal; 0 if it is unknown."""
+    try:
+        return int(path.with_name(COUNT_FILE_NAME).read_bytes()[:20])
+    except (OSError, ValueError):
+        return 0
 
 
 def _record(line: bytes) -> JsonRecord | None:
@@ -280,3 +365,22 @@ def _sync_folder(folder: Path) -> None:
             os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Check the journal of a run; return the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="mobo_tuner.runs.journal", description="Check of a journal."
+    )
+    parser.add_argument("run", type=Path, help="run folder, or journal")
+    options = parser.parse_args(arguments)
+    try:
+        read_journal(options.run)
+    except JournalError as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -162,6 +162,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for comparison in different[:5]:
         print(f"  {comparison.index}: then {dict(comparison.then)}")
         print(f"  {comparison.index}: now  {dict(comparison.now)}")
+    if different:
+        print(f"{len(different)} of {len(compared)} suggestions differ", file=sys.stderr)
     return 1 if different else 0
 
 
