@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from launcher import run_folder
 from mobo_tuner.page import history
 from mobo_tuner.page.history import MAX_RUNS, History
+from mobo_tuner.runs.journal import Journal
+
+THIS_PROCESS = {"pid": os.getpid(), "pid_started": run_folder.process_start(os.getpid())}
 
 
 def make(folder: Path, run_id: str, summary: object = None, **facts: object) -> None:
@@ -30,7 +35,7 @@ def test_a_run_id_from_a_topic_leads_out_of_the_folder_nowhere(tmp_path: Path, r
 def test_the_newest_run_is_first_and_a_text_filters(tmp_path: Path) -> None:
     make(tmp_path, "a", {"evaluations": 9, "failed": 1, "hypervolume": 2.5}, state="finished")
     make(tmp_path, "b", started="2026-02-01T00:00:00", state="failed", reason="K1 is stuck")
-    make(tmp_path, "c", started="2026-03-01T00:00:00", state="running")
+    make(tmp_path, "c", started="2026-03-01T00:00:00", state="rebuilt")
     runs = History(tmp_path)
     assert [run.run_id for run in runs.runs()] == ["c", "b", "a"]
     assert [run.run_id for run in runs.runs(" k1 IS ")] == ["b"]
@@ -39,7 +44,7 @@ def test_the_newest_run_is_first_and_a_text_filters(tmp_path: Path) -> None:
 
 
 def test_what_changes_is_read_again(tmp_path: Path) -> None:
-    make(tmp_path, "a", state="running")
+    make(tmp_path, "a", state="running", **THIS_PROCESS)
     runs = History(tmp_path)
     assert runs.runs()[0].state == "running"
     (tmp_path / "a" / "run.json").write_text('{"state": "finished"}', encoding="utf-8")
@@ -47,7 +52,7 @@ def test_what_changes_is_read_again(tmp_path: Path) -> None:
 
 
 def test_an_active_run_shows_how_far_it_is(tmp_path: Path) -> None:
-    make(tmp_path, "a", state="running")
+    make(tmp_path, "a", state="running", **THIS_PROCESS)
     journal = tmp_path / "a" / "journal.jsonl"
     runs = History(tmp_path)
     for index in (0, 6):
@@ -84,3 +89,42 @@ def test_entry_script_and_page_read_the_same_files() -> None:
         run_folder.RUN_FILE,
         run_folder.SUMMARY_FILE,
     )
+
+
+def test_list_and_page_agree_on_what_became_of_a_run(tmp_path: Path) -> None:
+    start: dict[str, Any] = {"type": "start", "run_id": "a", "stamp": 1_700_000_000.0, "version": 1}
+    evaluation: dict[str, Any] = {"type": "evaluation", "index": 6, "hypervolume": 2.5}
+    make(tmp_path, "runs", state="running", **THIS_PROCESS)
+    make(tmp_path, "killed", state="running", pid=THIS_PROCESS["pid"], pid_started="1")
+    make(tmp_path, "over", {"evaluations": 9, "hypervolume": 1.5}, state="finished")
+    for name, end in (("done", "budget"), ("canceled", "canceled"), ("failed", "error")):
+        records: list[dict[str, Any]] = [
+            start,
+            evaluation,
+            {"type": "end", "stop_reason": end, "error_msg": "x"},
+        ]
+        Journal.create(tmp_path / name, records).close()
+    Journal.create(tmp_path / "gone", [start, evaluation]).close()
+    make(tmp_path, "held", {"evaluations": 3, "hypervolume": 1.5}, state="finished")
+    os.utime(tmp_path / "held" / "summary.json", (1.0, 1.0))  # what came later is in the journal
+    Journal.create(tmp_path / "held", [start, evaluation]).close()
+    runs = History(tmp_path)
+    with Journal.create(tmp_path / "active", [start]):
+        expected = {
+            "runs": "running",
+            "killed": "died",
+            "over": "finished",
+            "done": "finished",
+            "canceled": "canceled",
+            "failed": "failed",
+            "gone": "died",
+            "held": "finished",
+            "active": "running",
+        }
+        found = {run.run_id: run for run in runs.runs()}
+        assert {name: run.state for name, run in found.items()} == expected
+        for folder in run_folder.RunFolder.all(tmp_path):
+            run, text = found[folder.run_id], run_folder._text
+            row = [run.run_id, run.state, text(run.evaluations), text(run.hypervolume)]
+            assert folder.row() == [*row, run.started or "-"]
+    assert {run.run_id: run.state for run in runs.runs()} == {**expected, "active": "died"}

@@ -1,7 +1,13 @@
-"""The runs of a folder, from the files that each run leaves there."""
+"""The runs of a folder, from the files that each run leaves there.
+
+`launcher/run_folder.py`, which cannot share a module with this one, says the same for `mobo.py list`; a test
+compares them.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -27,7 +33,7 @@ class PastRun:
 
     Attributes:
         run_id: Id of the run.
-        state: State at its end.
+        state: State at its end; "running" while it is active, "died" if it was killed.
         started: Local time of its start, in ISO 8601.
         evaluations: Number of evaluations; None if there is no summary.
         failed: Number of failed ones among them.
@@ -45,7 +51,7 @@ class PastRun:
 
 
 class History:
-    """Reads the runs of a folder; a run that has not changed is read once.
+    """Reads the runs of a folder; a run that has ended and not changed is read once.
 
     Args:
         folder: Folder of the runs; None if it is unknown.
@@ -53,7 +59,7 @@ class History:
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
-        self._known: dict[Path, tuple[tuple[int, int], PastRun]] = {}
+        self._known: dict[Path, tuple[tuple[int, ...], PastRun]] = {}
 
     def runs(self, wanted: str = "") -> list[PastRun]:
         """Return the newest runs whose id, state or reason contains a text.
@@ -95,11 +101,11 @@ class History:
         return board
 
     def _read(self, folder: Path) -> PastRun:
-        stamps = (_changed(folder / RUN_FILE), _changed(folder / SUMMARY_FILE))
-        if not stamps[1]:
-            stamps = (stamps[0], _changed(folder / JOURNAL_FILE))
+        names = (RUN_FILE, SUMMARY_FILE, JOURNAL_FILE)
+        stamps = tuple(_changed(folder / name) for name in names)
         known = self._known.get(folder)
-        if known is None or known[0] != stamps:
+        # A run that is killed changes no file.
+        if known is None or known[0] != stamps or known[1].state == "running":
             known = (stamps, _past_run(folder))
             self._known[folder] = known
         return known[1]
@@ -107,9 +113,18 @@ class History:
 
 def _past_run(folder: Path) -> PastRun:
     facts, summary = _content(folder / RUN_FILE), _content(folder / SUMMARY_FILE)
-    if not summary:  # it is active, was killed, or is that of nodes that stay
-        told, summary = _last_records(folder / JOURNAL_FILE)
-        facts = facts or told
+    journal = folder / JOURNAL_FILE
+    records: list[dict[str, Any]] = []
+    if not facts or not summary or _changed(folder / SUMMARY_FILE) < _changed(journal):
+        records = _last_records(journal)
+    last: dict[str, Any] = next((r for r in reversed(records) if r.get("type") == "evaluation"), {})
+    if isinstance(last.get("index"), int):  # the summary is missing, or older
+        evaluations = {"evaluations": last["index"] + 1}
+        summary = {**summary, **evaluations, "hypervolume": last.get("hypervolume")}
+    if not facts:  # a run of nodes that stay
+        facts = _journal_facts(journal, records)
+    elif facts.get("state") == "running" and not _is_alive(facts):
+        facts = {**facts, "state": "died"}
     hypervolume = summary.get("hypervolume")
     return PastRun(
         run_id=folder.name,
@@ -122,26 +137,50 @@ def _past_run(folder: Path) -> PastRun:
     )
 
 
-def _last_records(path: Path) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    """Return what the end of a journal says of a run and of its results."""
+def _journal_facts(path: Path, records: list[dict[str, Any]]) -> Mapping[str, Any]:
+    """Return what a journal says of a run without a file of facts; its last records are given."""
+    try:
+        with path.open("rb") as file:
+            start = _object(file.readline().decode(errors="replace"))
+            is_locked = False
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except OSError:
+                is_locked = True
+    except OSError:
+        return {}
+    facts = {"state": "running" if is_locked else "died", "started": ""}
+    with contextlib.suppress(KeyError, TypeError, ValueError, OverflowError, OSError):
+        started = datetime.fromtimestamp(start["stamp"]).astimezone()
+        facts["started"] = started.isoformat(timespec="seconds")
+    end = next((r for r in reversed(records) if r.get("type") == "end"), None)
+    if end is not None:
+        states = {"canceled": "canceled", "error": "failed"}
+        facts["state"] = states.get(str(end.get("stop_reason")), "finished")
+        facts["reason"] = str(end.get("error_msg", ""))
+    return facts
+
+
+def _is_alive(facts: Mapping[str, Any]) -> bool:
+    """Return whether the process that carries out a run is there: its id and its start agree."""
+    try:
+        content = Path(f"/proc/{int(facts['pid'])}/stat").read_text()
+    except (OSError, KeyError, TypeError, ValueError):
+        return False
+    # The start is the 20th field after the program's name, which is in brackets.
+    state, *fields = content.rpartition(")")[2].split()
+    return state != "Z" and fields[18] == facts.get("pid_started")
+
+
+def _last_records(path: Path) -> list[dict[str, Any]]:
+    """Return the last records of a journal."""
     try:
         with path.open("rb") as file:
             file.seek(max(path.stat().st_size - TAIL, 0))
             lines = file.read().decode(errors="replace").splitlines()
-        started = datetime.fromtimestamp(path.stat().st_mtime).astimezone()
     except OSError:
-        return {}, {}
-    records = [record for line in lines if (record := _object(line))]
-    end = next((r for r in records if r.get("type") == "end"), {})
-    last: dict[str, Any] = next((r for r in reversed(records) if r.get("type") == "evaluation"), {})
-    facts = {
-        "state": end.get("stop_reason", "not ended"),
-        "started": started.isoformat(timespec="seconds"),
-        "reason": end.get("error_msg", ""),
-    }
-    index = last.get("index")
-    count = {"evaluations": index + 1} if isinstance(index, int) else {}
-    return facts, {**count, "hypervolume": last.get("hypervolume")}
+        return []
+    return [record for line in lines if (record := _object(line))]
 
 
 def _integer(value: object) -> int | None:
