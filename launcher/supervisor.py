@@ -207,9 +207,9 @@ class Supervisor:
         return Conclusion("finished")
 
     def _interrupt(self, interruption: Interrupted) -> Conclusion:
-        """Handle the first signal: after Ctrl-C the machine may move to its fallback, until a second."""
+        """Handle the first signal: the machine may move to its fallback, until a second signal."""
         foreground = self._running.get(self._launch.foreground)
-        if self._launch.goes_back and interruption.number == signal.SIGINT and foreground:
+        if self._launch.goes_back and foreground:
             try:
                 self._processes.interrupt(foreground)
                 self._processes.heed_next_signal()
@@ -232,15 +232,20 @@ class Supervisor:
         )
 
     def _judge(self) -> Conclusion:
-        """Return the conclusion of a successful run, unless a node failed at its end."""
+        """Return the conclusion of a successful run, unless a node failed at its end.
+
+        The run does not depend on its recorder, at its end neither.
+        """
         for name, process in self._running.items():
             if name in self._launch.onlookers:
                 continue
             unhandled = name != self._launch.last and process.returncode in _UNHANDLED_SIGINT
-            lost = name == self._launch.last and self._loss
-            if process.returncode != 0 and not unhandled and not lost:
-                how = describe_status(process.returncode)
-                return self._failure(f"the {name} node {how} when the run was over", name)
+            if process.returncode == 0 or unhandled:
+                continue
+            what = f"the {name} node {describe_status(process.returncode)} when the run was over"
+            if name != self._launch.last:
+                return self._failure(what, name)
+            self._loss = self._loss or f"{what}: its bag may lack the end"
         return Conclusion("finished")
 
     def _failure(self, what: str, name: str) -> Conclusion:

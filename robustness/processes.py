@@ -58,6 +58,7 @@ class NodeProcess:
         environment: Mapping[str, str] | None = None,
         preexec: Callable[[], None] | None = None,
         terminal: int | None = None,
+        folder: Path | None = None,
     ) -> NodeProcess:
         """Run Python with `arguments`.
 
@@ -68,6 +69,7 @@ class NodeProcess:
             environment: Environment variables beside those of this process.
             preexec: Function that runs in the new process first.
             terminal: File descriptor of a terminal that becomes its standard output.
+            folder: Working folder; None for that of this process.
         """
         with stdout_path.open("ab") as stdout, stderr_path.open("ab") as stderr:
             popen = subprocess.Popen(
@@ -78,6 +80,7 @@ class NodeProcess:
                 env={**os.environ, **(environment or {})},
                 start_new_session=True,
                 preexec_fn=preexec,
+                cwd=folder,
             )
         return cls(popen, stdout_path, stderr_path)
 
@@ -128,10 +131,10 @@ class NodeProcess:
 
 @dataclass
 class NodeStarter:
-    """Starts processes whose output goes to numbered files of a folder.
+    """Starts processes in a folder, whose output goes to numbered files there.
 
     Attributes:
-        folder: Folder of the files.
+        folder: Folder of the files, in which a tuner keeps its runs unless it is told another place.
         processes: All processes that were started; the owner of the starter ends them.
     """
 
@@ -154,6 +157,7 @@ class NodeStarter:
             environment=environment,
             preexec=preexec,
             terminal=terminal,
+            folder=self.folder,
         )
         self.processes.append(process)
         return process

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -328,11 +329,12 @@ def test_a_loop_of_ones_own_needs_no_machine(client: TunerClient, start_tuner: S
     assert "f1, f2" in failed.error_msg
 
 
-def test_two_tuners_in_namespaces_are_kept_apart(start_node: NodeStarter) -> None:
+def test_two_tuners_in_namespaces_are_kept_apart(start_node: NodeStarter, tmp_path: Path) -> None:
     for space, seed in (("left", 1), ("right", 2)):
         start_node(
             *("-m", "mobo_tuner.nodes.tuner", "--ros-args", "-r", f"__ns:=/{space}"),
             *("--params-file", str(CONFIG / "toy.yaml"), "-p", f"seed:={seed}"),
+            *("-p", f"runs_dir:={tmp_path / space}"),
         )
     with TunerClient("left", timeout=30.0) as left, TunerClient("/right", timeout=30.0) as right:
         asked = [left.ask(), right.ask()]

@@ -124,14 +124,17 @@ def test_a_sparkline_shows_the_whole_run_in_its_width() -> None:
 def test_the_plain_view_says_once_why_the_run_waits() -> None:
     stream = io.StringIO()
     view = PlainView("run", 60, stream)
-    waiting = Status("waiting", message="the machine is not there")
-    for status in (waiting, waiting, Status("evaluating"), Status("paused", message="by hand")):
+    waits = [
+        Status("waiting", message=f"the machine is not there; up to 300 s, {left} s are left")
+        for left in (300, 299)
+    ]
+    for status in (*waits, Status("evaluating"), Status("paused", message="by hand")):
         view.status(status)
     view.evaluation(EVALUATION)
     view.close()
     view.evaluation(EVALUATION)
     assert stream.getvalue().splitlines() == [
-        "waiting: the machine is not there",
+        "waiting: the machine is not there; up to 300 s, 300 s are left",
         "paused: by hand",
         evaluation_line(EVALUATION, 60),
     ]

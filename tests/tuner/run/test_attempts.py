@@ -90,8 +90,13 @@ def test_what_cannot_go_on_ends_the_run(
     assert result.evaluations == (2 if policy == "abort" else 1)
 
 
+@pytest.mark.parametrize("ahead", [3600.0, -3600.0])
 def test_answers_to_other_evaluations_are_dropped_with_a_warning(
-    start_tuner: Callable[..., NodeProcess], client: GoalClient, node: Node, tmp_path: Path
+    start_tuner: Callable[..., NodeProcess],
+    client: GoalClient,
+    node: Node,
+    tmp_path: Path,
+    ahead: float,
 ) -> None:
     machine = toy_machine(node)
 
@@ -100,7 +105,7 @@ def test_answers_to_other_evaluations_are_dropped_with_a_warning(
         return wrong.get(goal.index, (goal.run_id, goal.index, goal.attempt))
 
     machine.identity = identity
-    machine.ahead = 3600.0  # such a stamp is not kept: all that is predicted would be of that time
+    machine.ahead = ahead  # such a stamp is not kept: all that is predicted would be of that time
     tuner = start_tuner()
     client.send(Tune.Goal(run_id="mine", evaluations=5))
     assert client.wait().error_code == 0

@@ -128,8 +128,22 @@ def test_a_loss_lasts_until_the_machine_works_again_or_patience_ends() -> None:
     assert (loss.active, loss.remaining()) == (False, 0.0)
     assert loss.end() == 35.0  # how long it did not work
     assert loss.end() is None
+
+
+def test_a_machine_that_comes_and_goes_is_not_waited_for_without_end() -> None:
+    clock = Clock()
+    loss = Loss(30.0, clock)
     assert loss.begin()
-    assert loss.remaining() == 30.0
+    assert loss.told("no permit") == "no permit"
+    for count in range(2, 32):
+        clock.now += 1.0  # for which it forbids to move
+        assert loss.end() == 1.0
+        clock.now += 0.5  # for which it does not
+        assert loss.begin()
+        assert loss.count == count
+        assert loss.remaining() == 31 - count
+    assert not loss.active
+    assert loss.told("no permit") == "no permit, 31 times in this evaluation"
 
 
 def test_the_node_s_parameters_are_attributes_of_the_right_types() -> None:

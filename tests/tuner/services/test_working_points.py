@@ -18,6 +18,7 @@ from mobo_msgs_py.srv import ListWorkingPoints
 from mobo_tuner.machine.double import Answer, MachineDouble
 from mobo_tuner.ros.qos import LATCHED, STREAM
 from mobo_tuner.runs.history import History
+from mobo_tuner.runs.replay import compare
 from tests.support.processes import NodeProcess
 from tests.support.tuner import (
     EASY,
@@ -140,21 +141,38 @@ def test_the_front_is_listed_gone_to_and_held(
     records = journal(tmp_path, told[0].run_id)
     kinds = [r["type"] for r in records]
     assert kinds == ["start", *["evaluation"] * 20, "state", *["evaluation"] * 5, "end"]
-    assert len(History.from_records(records).evaluations) == 25
-    kinds = [r["type"] for r in journal(tmp_path, "front")]
-    assert kinds == ["start", "state", *["evaluation"] * 20, "end", *["move", "state"] * 3]
-    # What was measured while holding is on the list, too.
-    indices = {point.index for point in listed(services, False).measured.points}
-    assert indices & {20, 21, 22, 23, 24}
+    history = History.from_records(records)
+    assert len(history.evaluations) == 25
+    assert not any(comparison.differs for comparison in compare(history))
+    # What was measured while holding is in the first run, too, and on the list.
+    records = journal(tmp_path, "front")
+    moves = [["move", "state"] * 2, ["move", "state"]]
+    kinds = [
+        "start",
+        "state",
+        *["evaluation"] * 20,
+        "end",
+        *moves[0],
+        *["evaluation"] * 5,
+        *moves[1],
+    ]
+    assert [r["type"] for r in records] == kinds
+    added = [r for r in records if r["type"] == "evaluation"][20:]
+    assert [(r["index"], r["source"]) for r in added] == [(n, "operator") for n in range(20, 25)]
+    assert [r["setpoint"] for r in added] == [values(m.setpoint) for m in told]
+    assert added[-1]["hypervolume"] >= front.hypervolume
+    now = listed(services, False).measured
+    assert {point.index for point in now.points} & {20, 21, 22, 23, 24}
 
-    # A tuner that knows nothing yet reads the run from its folder.
-    assert tuner.stop() == 0
+    # A tuner that knows nothing yet reads the run from its folder; all of it is there after a kill.
+    tuner.kill()
     start_tuner("initial_evaluations:=6")
     request = ListWorkingPoints.Request(run_id="front")
     read = services.call(ListWorkingPoints, "list_working_points", request, 60.0)
-    assert list(map(plain, read.measured.points)) == list(map(plain, front.points))
+    assert list(map(plain, read.measured.points)) == list(map(plain, now.points))
+    assert read.measured.hypervolume == now.hypervolume
     mover.send(Goal(run_id="front", choice=Goal.BY_WEIGHTS, weights=named({"f2": 1.0})))
-    least = min(front.points, key=lambda point: values(point.objectives)["f2"])
+    least = min(now.points, key=lambda point: values(point.objectives)["f2"])
     assert plain(mover.wait().point) == plain(least)
     assert position(node, spin_until) == pytest.approx(values(least.setpoint), abs=1e-9)
     assert [r["type"] for r in journal(tmp_path, "front")][-3:] == ["state", "move", "state"]

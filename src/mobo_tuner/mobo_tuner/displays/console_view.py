@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from typing import TextIO, TypedDict
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
@@ -24,6 +25,7 @@ from mobo_tuner.displays.progress import RunProgress, contexts_text
 BAR_WIDTH, SPARK_WIDTH = 30, 60  # at most
 ROOMY = 70  # columns from which on standard deviations are shown
 BARS = "▁▂▃▄▅▆▇█"
+_COUNTDOWN = re.compile(r", \d+ s are left$")
 _STATES = {
     "idle": "idle",
     "waiting": "waiting for the machine",
@@ -142,13 +144,15 @@ class LiveView(RunView):
     def close(self) -> None:
         """Leave the last view in the terminal."""
         self._draw()
-        self._live.stop()
+        with suppress(OSError):
+            self._live.stop()
 
     def _draw(self) -> None:
         if self._live.is_started:
-            self._live.update(
-                render(self.run_id, self.progress, self._stage, self._hint), refresh=True
-            )
+            with suppress(OSError):  # the terminal is closed: what the view follows goes on
+                self._live.update(
+                    render(self.run_id, self.progress, self._stage, self._hint), refresh=True
+                )
 
 
 class PlainView(RunView):
@@ -182,9 +186,10 @@ class PlainView(RunView):
         if status.state == "moving":
             wait = status.message or _STATES["moving"]
             wait += f", {status.phase} {status.fraction:.0%}" if status.phase else ""
-        if wait and wait != self._wait:
+        reason = _COUNTDOWN.sub("", wait)
+        if reason and reason != self._wait:
             self._print(f"{status.state}: {wait}")
-        self._wait = wait
+        self._wait = reason
         for text in status.hints:
             if text not in self._hints:
                 self._print(f"hint: {text}")
@@ -196,7 +201,8 @@ class PlainView(RunView):
 
     def _print(self, text: str) -> None:
         if not self._closed:
-            print(text, file=self._stream, flush=True)
+            with suppress(OSError):  # as above
+                print(text, file=self._stream, flush=True)
 
 
 def make_view(run_id: str, budget: int = 0) -> RunView:

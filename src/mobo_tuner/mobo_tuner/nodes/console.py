@@ -183,7 +183,8 @@ class Console:
 
     def _conclude(self, text: str) -> None:
         self._view.close()
-        print(text, flush=True)
+        with contextlib.suppress(OSError):  # the terminal may be closed
+            print(text, flush=True)
 
     def _on_recorder(self, status: RecorderStatus) -> None:
         self._recorder = status

@@ -37,7 +37,7 @@ class RunLog:
         run_dir: Folder of the run; if None, only the outline is kept.
         start: First record.
         earlier: Records taken over from the run that this one resumes.
-        ended: Whether the run has ended and its journal exists, to which only moves are added.
+        ended: Whether the run has ended and its journal exists, to which what comes later is added.
 
     Attributes:
         trouble: Reason why records are not in the journal yet, in one sentence; empty if all are.
@@ -86,12 +86,8 @@ class RunLog:
             JournalWriteError: If it, or what waits, cannot be written; it is not kept then.
         """
         with self._lock:
-            if self._ended and self._run_dir is not None:
-                append_record(self._run_dir, self._json(record))
-            elif not self._ended:
-                self._write_waiting()
-                if self._journal is not None:
-                    self._journal.append(self._json(record))
+            self._write_waiting()
+            self._write(record)
             self._outline(record)
 
     def keep(self, record: Record) -> None:
@@ -114,9 +110,14 @@ class RunLog:
 
     def _write_waiting(self) -> None:
         while self._waiting:
-            if self._journal is not None:
-                self._journal.append(self._json(self._waiting[0]))
+            self._write(self._waiting[0])
             self._waiting.popleft()
+
+    def _write(self, record: Record) -> None:
+        if self._ended and self._run_dir is not None:
+            append_record(self._run_dir, self._json(record))
+        elif self._journal is not None:
+            self._journal.append(self._json(record))
 
     def save(self, optimizer: Optimizer) -> None:
         """Keep the optimiser's state, so that a resumed run needs no replay.
@@ -140,7 +141,7 @@ class RunLog:
         return tuple(self._waiting)
 
     def close(self) -> None:
-        """Close the journal, to which only moves are added from now on; repeated calls have no effect."""
+        """Close the journal, which is opened again for each later record; repeated calls have no effect."""
         self._ended = True
         if self._journal is not None:
             self._journal.close()

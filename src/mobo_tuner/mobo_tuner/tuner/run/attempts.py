@@ -31,7 +31,7 @@ _LOST = (_CODES.MACHINE_LOST, _CODES.CLIENT_LOST)
 _FORBIDDEN = (_CODES.INTERLOCK, _CODES.NOT_ACTIVE)
 SHORTEST_DELAY, LONGEST_DELAY = 0.1, 60.0  # [s] between two attempts
 PAUSE_PERIOD = 3600.0  # [s] between two looks of a paused run at requests, which also wake it up
-CLOCK_LEAD = 60.0  # [s] by which the machine's clock may be ahead of that of the tuner
+CLOCK_ERROR = 60.0  # [s] by which the machine's clock may differ from that of the tuner
 WARNING_PERIOD = 60.0  # [s] between two warnings of its clock
 _MOST_ATTEMPTS = 2**16 - 1  # that a goal can count
 
@@ -54,27 +54,39 @@ class Decision(NamedTuple):
 class Loss:
     """How long a machine is waited for: from when it was lost or forbade to move until it works again.
 
+    The times of an evaluation add up, so that a permit that comes and goes is not waited for without end.
+
     Args:
         patience: Time that it is waited for in all [s].
         clock: Steady clock [s].
+
+    Attributes:
+        count: How often it was lost or forbade to move.
     """
 
     def __init__(self, patience: float, clock: Callable[[], float] = time.monotonic) -> None:
         self.patience = patience
         self._clock = clock
         self._began: float | None = None
+        self._spent = 0.0
+        self.count = 0
 
     def begin(self) -> bool:
         """Note that the machine does not work; return whether that is new."""
         new = self._began is None
         if new:
             self._began = self._clock()
+            self.count += 1
         return new
 
     def end(self) -> float | None:
         """Note that the machine works; return how long it did not [s], or None if it did all the time."""
         began, self._began = self._began, None
-        return None if began is None else self._clock() - began
+        if began is None:
+            return None
+        seconds = self._clock() - began
+        self._spent += seconds
+        return seconds
 
     @property
     def active(self) -> bool:
@@ -85,7 +97,11 @@ class Loss:
         """Return the patience that is left [s]; 0 if the machine works."""
         if self._began is None:
             return 0.0
-        return max(0.0, self._began + self.patience - self._clock())
+        return max(0.0, self._began + self.patience - self._spent - self._clock())
+
+    def told(self, reason: str) -> str:
+        """Return a reason, with how often it has come if that is more than once."""
+        return reason if self.count < 2 else f"{reason}, {self.count} times in this evaluation"
 
 
 def decide(answer: Answer, tries: int, loss: Loss, parameters: TunerParameters) -> Decision:
@@ -218,21 +234,23 @@ class Attempts:
 
         if not any(wait.active for wait in waits):
             context.status.work(msg.TunerStatus.EVALUATING, "")
+        began = context.stamp()
         try:
             answer = await context.gate.evaluate(
                 request, run.problem.units, on_feedback, run.interrupt, run.steering.skip
             )
         except MachineLostError as error:
             return Answer(_CODES.MACHINE_LOST, str(error), context.stamp())
-        answer = self._dated(answer)
+        answer = self._dated(answer, began)
         if answer.error_code == _CODES.NONE:
             return checked(run, setpoint, answer, "machine")
         return answer
 
-    def _dated(self, answer: Answer) -> Answer:
-        """Return an answer with a stamp that can be: drift is judged by it, and one ahead would last."""
+    def _dated(self, answer: Answer, began: float) -> Answer:
+        """Return an answer with a stamp between the beginning of the attempt and now, by which drift is judged."""
         now = self._context.stamp()
-        if 0.0 < answer.stamp <= now + CLOCK_LEAD:
+        earliest = min(began, now)  # unless the tuner's clock was set back meanwhile
+        if earliest - CLOCK_ERROR <= answer.stamp <= now + CLOCK_ERROR:
             return answer
         self._context.log.warning(
             f"the machine's stamp is {answer.stamp:.0f} s, and it is {now:.0f} s now, which is kept: set its clock",
@@ -285,6 +303,7 @@ class Attempts:
                     f"evaluation {run.index}: {reason}; the run waits up to {loss.patience:g} s"
                 )
             return
+        reason = loss.told(reason)
         if lost:
             raise RunError(Tune.Result.MACHINE_LOST, reason)
         after = f", for {loss.patience:g} s now" if loss.patience > 0.0 else ""
@@ -302,7 +321,7 @@ class Attempts:
         left = loss.remaining()
         self._context.status.work(
             msg.TunerStatus.WAITING,
-            f"{reason}; waiting up to {loss.patience:g} s, {left:.0f} s are left",
+            f"{loss.told(reason)}; waiting up to {loss.patience:g} s, {left:.0f} s are left",
         )
         delay = min(self._context.parameters.retry_delay, left)
         await self._sleep(run, delay, run.steering.stop)
@@ -316,7 +335,8 @@ class Attempts:
         context, patience = self._context, loss.patience
         context.status.work(
             msg.TunerStatus.WAITING,
-            f"{reason}; waiting for its return up to {patience:g} s, {loss.remaining():.0f} s are left",
+            f"{loss.told(reason)}; waiting for its return up to {patience:g} s, "
+            f"{loss.remaining():.0f} s are left",
         )
         try:
             await self._sleep(run, context.parameters.retry_delay, run.steering.stop)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -139,6 +139,8 @@ class Run:
         machine: Description of the machine; None before the first contact.
         state_before: Where the machine was before the run; None if it is unknown.
         by_client: Whether a client asks and tells by itself.
+        holds: Run whose working point this one holds, and which learns its evaluations, too; None if there is
+            none.
         changeable: Whether its problem and budget may be changed.
         present: Where the machine was at the start, if the first evaluation must be there.
         begun: Number of evaluations that have begun.
@@ -164,6 +166,7 @@ class Run:
     machine: DescribeMachine.Response | None = None
     state_before: dict[str, float] | None = None
     by_client: bool = False
+    holds: Run | None = None
     changeable: bool = True
     present: Mapping[str, float] | None = None
     begun: int = 0
@@ -295,6 +298,8 @@ class Run:
         )
         self.step_started = now
         self.log.keep(record)
+        if self.holds is not None:
+            self.holds.learn_from(record)
         self.progress.note(record)
         self.records.append((self.problem, record))
         self._look_for_hints()
@@ -302,12 +307,25 @@ class Run:
             self.consecutive_failures = self.consecutive_failures + 1 if record.failed else 0
         return record
 
-    def learn_from(self, records: Iterable[EvaluationRecord]) -> None:
-        """Tell the optimiser evaluations of another run; the journal does not keep them."""
-        for record in records:
-            told = self.optimizer.tell(*told_of(record, self.problem, self.model_input))
-            self.records.append((self.problem, replace(record, index=told.index)))
-        self.found = Findings.of(self.optimizer)
+    def learn_from(self, record: EvaluationRecord) -> None:
+        """Tell the optimiser and the journal an evaluation of another run, judged by this one's problem.
+
+        It counts as an operator's, because the method of this run did not suggest it.
+        """
+        told = self.optimizer.tell(*told_of(record, self.problem, self.model_input))
+        self.found = found = Findings.of(self.optimizer)
+        kept = replace(
+            record,
+            index=told.index,
+            source="operator",
+            valid=told.valid,
+            feasible=told.feasible,
+            non_dominated=any(point["index"] == told.index for point in found.front),
+            hypervolume=found.hypervolume,
+            hypervolume_measured=found.hypervolume_measured,
+        )
+        self.log.keep(kept)
+        self.records.append((self.problem, kept))
 
     def apply(self, change: Change, stamp: float) -> None:
         """Continue with another problem or budget, which the journal keeps.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -245,6 +245,8 @@ def start_holding(
     """
     run_id = new_run_id("hold")
     budget = len(focused.dataset) + evaluations
+    # The method of this run suggested none of them, so that a replay does not compare them.
+    taken_over = [(p, replace(record, source="operator")) for p, record in run.records]
     settings = {
         **parameters.values,
         **focused.settings.to_dict(),
@@ -268,7 +270,7 @@ def start_holding(
             parameters.run_dir(run_id),
             start,
             [
-                *(record for _, record in run.records),
+                *(record for _, record in taken_over),
                 *(
                     ForgetRecord(stamp, run.index, index, name or "")
                     for index, name in focused.dataset.withdrawn
@@ -276,7 +278,7 @@ def start_holding(
             ],
         ),
         model_input=run.model_input,
-        records=list(run.records),
+        records=taken_over,
     )
     held.steering.queue.append(dict(point))
     return held

@@ -40,8 +40,8 @@ class Holding:
     ) -> tuple[Run, int]:
         """Evaluate the point again, then look around it for a better one.
 
-        The evaluations make up a run of their own. They are also added to the first run, unless an
-        ask/tell client owns it.
+        The evaluations make up a run of their own. Each is also added to the first run and its journal,
+        unless an ask/tell client owns it.
 
         Args:
             run: Run to whose front the point belongs; it has ended.
@@ -82,13 +82,18 @@ class Holding:
         except OSError as error:  # such as a full disk
             raise RunError(GoToWorkingPoint.Result.INVALID_GOAL, str(error)) from None
 
+        if not run.by_client:
+            held.holds = run
+
         def count(record: EvaluationRecord, _: msg.Evaluation) -> None:
             listener(record.index + 1 - before)
 
         ending = await self._loop.carry_out(held, count)
         made = [record for _, record in held.records[before:]]
-        if not run.by_client:
-            await self._context.worker.submit(run.learn_from, made)
+        if not run.log.retry():
+            self._context.log.warning(
+                f"run '{run.run_id}' lacks what was measured: {run.log.trouble}"
+            )
         if ending.error_code:
             raise RunError(ending.error_code, ending.error_msg)
         best = _best(run, made, weights)
