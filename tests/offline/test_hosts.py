@@ -39,7 +39,7 @@ class Cluster:
         self.folder = folder
         (folder / "program.py").write_text(PROGRAM)
         command = f"python {folder / 'program.py'}"
-        self.hosts = Hosts("127.0.0.1", command, TIMEOUT, folder)
+        self.hosts = Hosts("127.0.0.1", {"command": command, "timeout": TIMEOUT}, folder)
         self.workers: list[subprocess.Popen[str]] = []
 
     def add(self) -> None:
@@ -124,6 +124,6 @@ def test_a_stranger_gets_no_work_and_keeps_nobody_out(cluster: Cluster) -> None:
 
 def test_an_address_of_another_host_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match=r"listen is '192\.0\.2\.1'"):
-        Hosts("192.0.2.1", "true", 1.0, tmp_path)
+        Hosts("192.0.2.1", {"command": "true", "timeout": 1.0}, tmp_path)
     with pytest.raises(ParameterError, match="no campaign"):
         worker.join(tmp_path, 0.0)

@@ -171,7 +171,8 @@ def start(content: Mapping[Any, Any], folder: Path, given: Mapping[str, Any]) ->
     Args:
         content: Content of a parameter file.
         folder: Folder of the run.
-        given: Values in place of the file's: `workers`, `evaluations`, `seed`.
+        given: Values in place of the file's: `workers`, `evaluations`, `seed`; and `listen`, with which no
+            command is needed.
 
     Raises:
         UserError: If something is wrong.
@@ -185,7 +186,8 @@ def start(content: Mapping[Any, Any], folder: Path, given: Mapping[str, Any]) ->
     problem = Problem.from_dict(content)
     settings = {**tuner, "budget": tuner["evaluations"], "campaign": campaign}
     optimizer = make_optimizer(problem, settings, load_prior_model(problem, settings))
-    Simulation(str(campaign["command"]), 1.0, folder)  # checks the command
+    if campaign["command"] or "listen" not in given:  # else the workers know how to evaluate
+        Simulation(str(campaign["command"]), 1.0, folder)  # checks the command
     record = StartRecord(folder.name, time.time(), problem, settings)
     return Begun(optimizer, RunLog(folder, record), settings)
 
@@ -329,16 +331,18 @@ def _fill(answer: Any, outcome: Outcome, names: Sequence[str]) -> None:
     answer[SECONDS], answer[ERROR] = outcome.seconds, outcome.error[:_MOST_ERROR]
 
 
-def _simulator(settings: Mapping[str, Any], folder: Path, listen: str | None) -> Simulator:
+def _simulator(begun: Begun, folder: Path, listen: str | None) -> Simulator:
     """Return what simulates, here or on the hosts whose workers join.
 
     Raises:
-        ParameterError: If it cannot be listened there.
+        ParameterError: If it cannot be listened there, or the command is not one.
     """
-    command, timeout = settings["command"], settings["timeout"]
+    campaign = begun.settings["campaign"]
+    command, timeout = campaign["command"], campaign["timeout"]
     if listen is None:
         return Simulation(command, timeout, folder / "simulations")
-    hosts = Hosts(listen, command, timeout, folder)
+    problem = begun.optimizer.given_problem.to_dict()
+    hosts = Hosts(listen, {"command": command, "timeout": timeout, "problem": problem}, folder)
     print(f"workers join by: python -m mobo_tuner.offline.worker {folder}", flush=True)
     return hosts
 
@@ -356,7 +360,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     given = {
         name: value
-        for name in ("workers", "evaluations", "seed")
+        for name in ("workers", "evaluations", "seed", "listen")
         if (value := getattr(options, name)) is not None
     }
     try:
@@ -364,7 +368,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             begun = resume(options.resume, options.folder, given)
         else:
             begun = start(load_yaml(options.config), options.folder, given)
-        run(begun, _simulator(begun.settings["campaign"], options.folder, options.listen))
+        run(begun, _simulator(begun, options.folder, options.listen))
     except (UserError, OSError) as error:
         print(error, file=sys.stderr)
         return 1

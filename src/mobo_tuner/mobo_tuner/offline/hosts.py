@@ -3,7 +3,8 @@
 The campaign writes into its folder, which all hosts share, where its workers find it and a secret by which
 both sides prove to each other that they know the folder (`multiprocessing.connection`). A worker
 (`worker.py`) may join at any time and may be lost at any time: what it simulated is then simulated by another.
-All messages are JSON objects: the campaign's command and timeout to a new worker, then points and outcomes.
+All messages are JSON: the campaign's task to a new worker, then points and outcomes, or null from a worker that
+gives a point back.
 """
 
 from __future__ import annotations
@@ -39,17 +40,16 @@ class Hosts:
 
     Args:
         address: Address of this host that the others reach; they find the port in the folder.
-        command: Command of a simulation, see `Simulation`.
-        timeout: Longest time of one simulation [s].
+        task: What workers are told: `command`, `timeout` [s] and `problem`, which can become JSON.
         folder: Folder of the run, which all hosts share.
 
     Raises:
         ParameterError: If this host does not have the address.
     """
 
-    def __init__(self, address: str, command: str, timeout: float, folder: Path) -> None:
-        self._timeout = timeout
-        self._welcome = json.dumps({"command": command, "timeout": timeout}).encode()
+    def __init__(self, address: str, task: Mapping[str, Any], folder: Path) -> None:
+        self._timeout = float(task["timeout"])
+        self._welcome = json.dumps(task).encode()
         self._key = secrets.token_bytes(32)
         self._idle: queue.SimpleQueue[Connection] = queue.SimpleQueue()
         self._stopped = threading.Event()

@@ -9,7 +9,7 @@ CAMPAIGN = (
         "command",
         "",
         "Command of the simulation, which reads a point as a JSON object on standard input and prints its "
-        "outputs as one.",
+        "outputs as one; empty if machines are the workers.",
     ),
     ParameterSpec(
         "timeout", 3600.0, "Longest time of one simulation [s].", minimum=0.1, maximum=31_536_000.0

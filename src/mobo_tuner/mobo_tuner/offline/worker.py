@@ -7,19 +7,21 @@ simulates its points, one at a time, until the campaign ends. It may be started 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import socket
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from multiprocessing import AuthenticationError
 from multiprocessing.connection import Connection, answer_challenge, deliver_challenge
 from pathlib import Path
+from typing import Any, Protocol
 
 from mobo_tuner.errors import ParameterError
 from mobo_tuner.offline.hosts import FILE_NAME, keep_alive
-from mobo_tuner.offline.simulation import Simulation
+from mobo_tuner.offline.simulation import Outcome, Simulation
 
 _POLL = 0.2  # [s] between two looks for the campaign
 
@@ -53,35 +55,81 @@ def join(folder: Path, patience: float) -> Connection:
             return campaign
 
 
-def serve(campaign: Connection, folder: Path) -> None:
-    """Simulate the points that a campaign sends, until it ends.
+Evaluate = Callable[[int, Mapping[str, float]], Outcome | None]
+"""Evaluates a point by its number; None gives it back, for another worker."""
+
+
+class Work(Protocol):
+    """What a worker does."""
+
+    def begin(self, task: Mapping[str, Any]) -> Evaluate:
+        """Take on the task of a campaign: `command`, `timeout` and `problem`."""
+
+    def stop(self) -> None:
+        """End what is being evaluated."""
+
+
+class Simulations:
+    """Work that runs the campaign's command.
+
+    Args:
+        folder: Folder of the run.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / "simulations"
+        self._simulation: Simulation | None = None
+
+    def begin(self, task: Mapping[str, Any]) -> Evaluate:
+        """Take on the task of a campaign.
+
+        Raises:
+            ParameterError: If its command cannot be run on this host.
+        """
+        self._simulation = Simulation(task["command"], task["timeout"], self._folder)
+        return self._simulation.run
+
+    def stop(self) -> None:
+        """End the simulation."""
+        if self._simulation is not None:
+            self._simulation.stop()
+
+
+def serve(campaign: Connection, work: Work) -> bool:
+    """Evaluate the points that a campaign sends, until it ends or a point is given back.
 
     Args:
         campaign: Connection to it.
-        folder: Folder of the run.
+        work: What evaluates.
+
+    Returns:
+        Whether the campaign has ended.
 
     Raises:
-        ParameterError: If the campaign's command cannot be run on this host.
+        UserError: If the work cannot begin.
     """
-    welcome = json.loads(_receive(campaign))
-    simulation = Simulation(welcome["command"], welcome["timeout"], folder / "simulations")
+    evaluate = work.begin(json.loads(_receive(campaign)))
+    given_back = threading.Event()
 
-    def simulate(message: bytes) -> None:
-        point = json.loads(message)
-        outcome = simulation.run(point["number"], point["point"])
+    def answer(message: bytes) -> None:
+        point, outcome = json.loads(message), None
         try:
-            campaign.send_bytes(json.dumps(outcome._asdict()).encode())
-        except OSError:  # it has ended in between
-            simulation.stop()
+            outcome = evaluate(point["number"], point["point"])
+        finally:
+            if outcome is None:
+                given_back.set()
+            with contextlib.suppress(OSError):  # it has ended in between
+                text = json.dumps(None if outcome is None else outcome._asdict())
+                campaign.send_bytes(text.encode())
 
     try:
-        while True:  # a simulation does not keep the end of the campaign from being seen
+        while True:  # an evaluation does not keep the end of the campaign from being seen
             message = _receive(campaign)
-            threading.Thread(target=simulate, args=(message,), daemon=True).start()
+            threading.Thread(target=answer, args=(message,), daemon=True).start()
     except (EOFError, OSError):
-        pass
+        return not given_back.is_set()
     finally:
-        simulation.stop()
+        work.stop()
 
 
 def _receive(campaign: Connection) -> bytes:
@@ -103,7 +151,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         with join(options.folder, options.patience) as campaign:
-            serve(campaign, options.folder)
+            serve(campaign, Simulations(options.folder))
     except (ParameterError, EOFError, OSError) as error:
         print(error, file=sys.stderr)
         return 1
