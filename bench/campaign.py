@@ -7,7 +7,7 @@ is pending; the time to learn it, to write its journal and to save the state; an
 loop of libEnsemble and its workers, which is only known as a whole. CPU times do not depend on what else the computer
 does. While one batch is suggested, other simulations end: the next batch is for all of these.
 
-    python -m bench.campaign --workers 1000 --evaluations 3000 --seconds 100
+    python -m bench.campaign --workers 1000 --evaluations 1500 --seconds 40
 """
 
 from __future__ import annotations
@@ -132,8 +132,8 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--workers", type=int, default=1000, help="number of workers")
-    parser.add_argument("--evaluations", type=int, default=3000, help="number of evaluations")
-    parser.add_argument("--seconds", type=float, default=100.0, help="time of a simulation [s]")
+    parser.add_argument("--evaluations", type=int, default=1500, help="number of evaluations")
+    parser.add_argument("--seconds", type=float, default=40.0, help="time of a simulation [s]")
     parser.add_argument("--seed", type=int, default=0, help="seed of the optimiser")
     options = parser.parse_args()
     given = {name: getattr(options, name) for name in ("workers", "evaluations", "seed")}
