@@ -27,7 +27,7 @@ from mobo_tuner.parameter_spec import ParameterSpec, ParameterValue, specs_of
 from mobo_tuner.ros.interfaces import ACTIONS, SERVICES, TOPICS, Action, Service, Topic
 from mobo_tuner.ros.qos import KEPT, LATCHED, STREAM
 from mobo_tuner.tuner.parameters import MAXIMIZER_SETTINGS, TUNER
-from mobo_tuner.tuner.problem_parameters import QUANTITY_PARAMETERS
+from mobo_tuner.tuner.problem_parameters import FIDELITY_PARAMETERS, QUANTITY_PARAMETERS
 
 ROOT = Path(__file__).resolve().parent.parent
 INTERFACES = ROOT / "src" / "mobo_msgs_py"
@@ -188,6 +188,7 @@ def parameters() -> str:
             f"| {p.description} |"
             for p in QUANTITY_PARAMETERS
         ),
+        *(f"| `{name}` | {kind} | {text} |" for name, kind, text in FIDELITY_PARAMETERS),
     ]
     lines += ["", "## Node `tuner`", "", *_table(TUNER)]
     lines += ["", "### The method", "", METHOD, "", *_method_table()]

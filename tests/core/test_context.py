@@ -199,7 +199,7 @@ def test_with_a_context_the_front_is_that_of_the_last_reading() -> None:
     here = {"x": 0.0, "y": 0.0}
 
     def assert_predicted(degrees: float) -> None:
-        predicted = known.models.predicted(PROBLEM.normalize(here)[None])
+        predicted = known.models.predicted(PROBLEM.normalize(here)[None], np.empty((1, 0)))
         means = {name: float(mean[0]) for name, mean in predicted.items()}
         assert means == pytest.approx(truth(here, 0.8 * (degrees - 20.0)), abs=0.15)
 

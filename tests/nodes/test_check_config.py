@@ -33,6 +33,7 @@ SHIPPED = {
     "laboratory.yaml": "machine_bridge",
     "my_machine.yaml": "",
     "campaign.yaml": "",
+    "fidelity.yaml": "",
 }
 MODULES = {"awa_sim": "awa_sim_node.describe", "machine_bridge": "mobo_tuner.bridge.describe"}
 MACHINES = {section: describe_by(module) for section, module in MODULES.items()}
@@ -60,7 +61,7 @@ def test_every_shipped_file_is_good_and_chooses_its_machine() -> None:
         assert configuration.problem.objectives
         assert configuration.section == section
         assert (configuration.machine is None) == (not section)
-        assert bool(configuration.simulation) == (name == "campaign.yaml")
+        assert bool(configuration.simulation) == (name in ("campaign.yaml", "fidelity.yaml"))
 
 
 @pytest.mark.parametrize(
@@ -72,6 +73,7 @@ def test_every_shipped_file_is_good_and_chooses_its_machine() -> None:
         ("/**", "objectives.dE.truncation", [0.9, 0.5], "upside down"),
         ("/**", "variables.K1.unit", "mA", "the unit of the variable 'K1'"),
         ("/**", "tuner", {}, "'tuner' is unknown in the problem"),
+        ("/**", "fidelity", {"s": {"choices": [1.0, 2.0]}, "cost": "s"}, "'fidelity' is given"),
         ("tuner", "sede", 1, "'sede' is unknown in tuner"),
         ("tuner", "kernel", "cubic", "tuner.kernel is 'cubic'; allowed are rbf"),
         ("tuner", "beta", "big", "tuner.beta is 'big'"),

@@ -7,6 +7,7 @@ import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -301,23 +302,26 @@ def test_a_signal_ends_run_and_process_in_order(
     assert len(records) == result.evaluations + 3  # start, state, end
 
 
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        (
+            {"variables": {"x": {"min": 2.0, "max": 1.0}}},
+            "variables.x.min is 2, which must be less than its max of 1",
+        ),
+        ({"fidelity": {"s": {"choices": [1.0, 2.0]}, "cost": "s"}}, "'fidelity' is given"),
+    ],
+)
 def test_a_bad_problem_is_said_and_the_node_does_not_start(
-    start_node: NodeStarter, tmp_path: Path
+    start_node: NodeStarter, tmp_path: Path, section: dict[str, Any], words: str
 ) -> None:
     file = tmp_path / "bad.yaml"
-    file.write_text(
-        yaml.safe_dump(
-            {
-                "/**": {
-                    "ros__parameters": {
-                        "variables": {"x": {"min": 2.0, "max": 1.0}},
-                        "objectives": {"f": {"reference": 1.0}},
-                    }
-                }
-            }
-        )
-    )
+    problem = {
+        "variables": {"x": {"min": 1.0, "max": 2.0}},
+        "objectives": {"f": {"reference": 1.0}},
+    }
+    file.write_text(yaml.safe_dump({"/**": {"ros__parameters": problem | section}}))
     process = start_node("-m", "mobo_tuner.nodes.tuner", "--ros-args", "--params-file", str(file))
     assert process.wait() == 2
-    assert "variables.x.min is 2, which must be less than its max of 1" in process.stderr
+    assert words in process.stderr
     assert "Traceback" not in process.stderr

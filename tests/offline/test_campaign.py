@@ -19,6 +19,7 @@ from mobo_tuner.files import load_yaml
 from mobo_tuner.offline.campaign import resume, start
 from mobo_tuner.runs.journal import FILE_NAME, read_journal
 from mobo_tuner.runs.recorded_run import RecordedRun
+from tests.support.paths import ROOT
 
 TIMEOUT = 60.0
 PROGRAM = """
@@ -119,6 +120,25 @@ def test_a_campaign_is_a_run_with_a_journal(bench: Bench) -> None:
         is_lost = evaluation.setpoint["x1"] > 1.6
         assert evaluation.failed == is_lost
         assert ("x1 is too large" in evaluation.error_msg) == is_lost
+
+
+def test_the_shipped_file_with_fidelities_is_a_campaign(bench: Bench) -> None:
+    content = load_yaml(ROOT / "config" / "fidelity.yaml")
+    content["/**/tuner"]["ros__parameters"]["initial_evaluations"] = 2
+    # After two cheap ones, a third costs more than may be spent before one at the highest fidelity.
+    content["/**"]["ros__parameters"]["fidelity"]["cost"] = "0.4 + 0.6 * (mesh - 8) / 16"
+    config = bench.folder / "fidelity.yaml"
+    config.write_text(yaml.safe_dump(content))
+    assert bench.run("one", "--config", config, "--evaluations", 4, "--workers", 2) == (0, "")
+    run = RecordedRun.load(bench.folder / "one")
+    meshes = [evaluation.setpoint["mesh"] for evaluation in run.evaluations]
+    assert (len(meshes), meshes.count(8.0) >= 2, 24.0 in meshes) == (4, True, True)
+    assert all(e.setpoint["mesh"] == 24.0 for e in run.evaluations if e.feasible)
+    assert all(p["setpoint"]["mesh"] == 24.0 for p in run.optimizer.pareto_front())
+    # A campaign that continues knows the fidelities, too.
+    begun = resume(bench.folder / "one", bench.folder / "two", {"evaluations": 6})
+    begun.log.close()
+    assert [e.setpoint["mesh"] for e in begun.optimizer.dataset.evaluations] == meshes
 
 
 def test_what_was_finished_is_not_lost_by_a_kill(bench: Bench) -> None:

@@ -140,6 +140,21 @@ def test_a_vocs_becomes_a_problem_and_back() -> None:
         assert getattr(back, part) == getattr(given, part)
 
 
+def test_a_fidelity_is_chosen_and_a_variable_of_the_vocs() -> None:
+    definition = Problem.from_yaml(ROOT / "config" / "fidelity.yaml")
+    made = MoboGenerator(definition, seed=1)
+    assert made.vocs.variables["mesh"].values == {8.0, 12.0, 24.0}
+    [point] = made.suggest(1)
+    assert point["mesh"] == 8.0
+    outputs = {"sigma_x": 5.0, "eps_x": 90.0, "dE": 0.4}
+    made.ingest([{**point, **outputs}])
+    made.ingest([{n: v for n, v in point.items() if n not in ("mesh", "_id")} | outputs])
+    told = [e.setpoint["mesh"] for e in made.optimizer.dataset.evaluations]
+    assert told == [8.0, 24.0]
+    assert made.optimizer.pending == []
+    assert [p["index"] for p in made.optimizer.pareto_front()] == [1]
+
+
 def test_a_fixed_variable_is_a_constant() -> None:
     definition = {
         "variables": {"x": {"min": 0.0, "max": 1.0}, "y": {"min": 0.0, "max": 1.0, "fixed": 0.25}},

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 
-from awa_sim_node.simulation.injector import HALF_WAY, SCREEN, Injector, Settings
+from awa_sim_node.simulation.injector import HALF_WAY, SCREEN, Injector, Resolution, Settings
 from awa_sim_node.simulation.samples import ROWS
 from awa_sim_node.simulation.table import make_table
 
@@ -41,8 +41,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     commands.add_parser(
         "evaluate",
-        help="track one beam for a campaign: settings as a JSON object on standard input, the moments "
-        "on the screen as one on standard output, null where there is no beam",
+        help="track one beam for a campaign: settings as a JSON object on standard input, with 'mesh' for "
+        "other than 24 nodes across the bunch, the moments on the screen as one on standard output, null "
+        "where there is no beam",
     )
     table = commands.add_parser("table", help="compute or complete the surrogate's training data")
     table.add_argument("file", type=Path, help="CSV file")
@@ -75,10 +76,12 @@ def _evaluate(text: str) -> None:
         ValueError: If it is not one, or a setting is unknown, missing or not allowed.
     """
     try:
-        settings = Settings(**json.loads(text))
-    except TypeError as error:
+        point = json.loads(text)
+        resolution = Resolution.of_mesh(int(point.pop("mesh", Resolution().mesh[0])))
+        settings = Settings(**point)
+    except (TypeError, AttributeError) as error:
         raise ValueError(f"the settings are not complete: {error}") from None
-    [moments] = Injector(settings).track([SCREEN])
+    [moments] = Injector(settings).track([SCREEN], resolution)
     values = asdict(moments)
     print(json.dumps({n: v if math.isfinite(v) else None for n, v in values.items()}))
 

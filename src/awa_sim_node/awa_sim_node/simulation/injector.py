@@ -96,6 +96,17 @@ class Resolution:
     longest_refresh: float = 60e-12
     image_until: float = 0.02
 
+    @classmethod
+    def of_mesh(cls, nodes: int) -> Resolution:
+        """Return the resolution with as many nodes across the bunch, and as many particles for each of them.
+
+        Raises:
+            ValueError: If there are too few nodes to compute a field.
+        """
+        usual = cls()
+        mesh = (nodes, nodes, 2 * nodes)
+        return cls(mesh, round(usual.particles * (nodes / usual.mesh[0]) ** 3))
+
     def __post_init__(self) -> None:
         """Check the values."""
         if min(self.mesh) < _FEWEST_NODES:

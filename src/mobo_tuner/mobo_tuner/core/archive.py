@@ -116,7 +116,8 @@ class Archive:
             other = copy(self)
             other.dataset = self.dataset.copy()
             points = np.array([self.problem.normalize(setpoint) for setpoint in setpoints])
-            predicted = self.models.predicted(points)
+            lacks = np.array([self.dataset.lack(setpoint) for setpoint in setpoints])
+            predicted = self.models.predicted(points, lacks)
             for row, setpoint in enumerate(setpoints):
                 read = {name: float(means[row]) for name, means in predicted.items()}
                 other.dataset.add(setpoint, read, failed=False)

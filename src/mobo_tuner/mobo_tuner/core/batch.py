@@ -12,7 +12,7 @@ from functools import reduce
 import numpy as np
 
 from mobo_tuner.core.archive import Archive
-from mobo_tuner.core.problem import Problem
+from mobo_tuner.core.problem import Array, Problem
 from mobo_tuner.core.resolution import SAME
 from mobo_tuner.core.suggestion import Suggester, Suggestion
 
@@ -44,8 +44,8 @@ class Pending:
             return True
         if not self._setpoints:
             return False
-        pending = np.array([problem.normalize(each) for each in self._setpoints])
-        distances = np.abs(pending - problem.normalize(setpoint)).max(axis=1)
+        pending = np.array([_place(each, problem) for each in self._setpoints])
+        distances = np.abs(pending - _place(setpoint, problem)).max(axis=1)
         nearest = int(distances.argmin())
         if distances[nearest] > SAME:
             return False
@@ -79,3 +79,10 @@ class Pending:
         if len(self._setpoints) > _FEW:
             return archive.expecting(*self._setpoints)
         return reduce(Archive.expecting, self._setpoints, archive)
+
+
+def _place(setpoint: Mapping[str, float], problem: Problem) -> Array:
+    """Return a set-point and its distance from the highest fidelity, normalised ``(d + f,)``."""
+    place = problem.normalize(setpoint)
+    fidelity = problem.fidelity
+    return np.append(place, fidelity.lack(fidelity.of(setpoint))) if fidelity else place

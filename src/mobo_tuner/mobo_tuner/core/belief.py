@@ -111,7 +111,7 @@ def believe(data: Dataset, models: Models) -> Belief:
         trusted &= np.isnan(objectives)
     objectives[trusted], stddevs[trusted] = readings[trusted], 0.0
     required = [data.column(name) for name in problem.required_diagnostics]
-    feasible = valid & np.isfinite(required).any(axis=0)
+    feasible = valid & data.highest & np.isfinite(required).any(axis=0)
     signs = {o.name: o.sign for o in problem.objectives}
     for name, model, lower, upper in models.limited:
         values = data.column(name) * signs.get(name, 1.0)

@@ -87,7 +87,7 @@ class CandidateSearch:
         """Return the maximum of the acquisition function ``(d,)``; exploration where it is zero."""
         self._archive.update()
         rng = np.random.default_rng([self._seed, 2, len(self._data)])
-        inputs, failed = self._data.inputs, self._data.failed
+        inputs, failed = self._data.inputs, self._data.failed & self._data.highest
         if not self._models.ready:
             return explore(inputs, taken(self._data), rng, domain=self._problem.domain)
         unconfirmed = self._unconfirmed()
@@ -160,7 +160,8 @@ class CandidateSearch:
                 return False
             if self.expected_gain(found) < chance / n:
                 return True
-        last = n - self._archive.expected - _PATIENCE
+        told = np.flatnonzero(self._data.highest[: n - self._archive.expected])
+        last = int(told[-_PATIENCE]) if len(told) >= _PATIENCE else -1
         return (
             n % 2 == 0 and last >= self._archive.initial_evaluations and not (front >= last).any()
         )
@@ -250,7 +251,7 @@ class CandidateSearch:
 
     def _pays(self, x: Array, used: Taken) -> bool:
         """Return whether measuring at x ``(d,)`` may say anything that is not known."""
-        rows = self._data.complete & self._data.valid
+        rows = self._data.complete & self._data.valid & self._data.highest
         known, targets = self._data.inputs[rows], self._data.targets[rows]
         if len(known) == 0:
             return True

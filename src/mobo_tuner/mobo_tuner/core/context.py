@@ -1,9 +1,8 @@
-"""Inputs of the models that nobody sets: measured contexts, such as a temperature, and time."""
+"""Inputs of the models beside the variables: measured contexts, such as a temperature, fidelity and time."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
@@ -11,9 +10,10 @@ import numpy as np
 
 from mobo_tuner.core.context_kernel import LONGEST_CONTEXT_SCALE
 from mobo_tuner.core.dataset import Dataset
-from mobo_tuner.core.problem import Array
+from mobo_tuner.core.problem import Array, Problem
 from mobo_tuner.core.quantities import Context
 
+_FIDELITY_UNIT = 2.0  # ranges, over which a fidelity is likely to matter
 _TIME_UNIT = 100  # evaluations in a unit of time, if none is given
 
 
@@ -26,17 +26,19 @@ class Scale(NamedTuple):
 
 @dataclass(frozen=True)
 class ContextInputs:
-    """What nobody sets, as inputs of the models; the scales hold from one training to the next.
+    """What is no variable, as inputs of the models; the scales hold from one training to the next.
 
     Attributes:
         names: Measured contexts.
         scales: Scale of each.
+        fidelities: Number of variables of the fidelity.
         clock: Scale of time: the latest time and its unit at the last training [s].
         timed: Whether time is an input, which is then the last one.
     """
 
     names: tuple[str, ...]
     scales: tuple[Scale, ...]
+    fidelities: int
     clock: Scale
     timed: bool
 
@@ -52,12 +54,13 @@ class ContextInputs:
         """
         contexts = data.problem.context
         scales = tuple(_scale(context, data) for context in contexts)
-        return cls(tuple(c.name for c in contexts), scales, _clock(data.times, time_unit), timed)
+        names, fidelities = tuple(c.name for c in contexts), data.lacks.shape[1]
+        return cls(names, scales, fidelities, _clock(data.times, time_unit), timed)
 
     @property
     def count(self) -> int:
         """Number of these inputs."""
-        return len(self.names) + self.timed
+        return len(self.names) + self.fidelities + self.timed
 
     def times(self, data: Dataset) -> Array:
         """Return when each evaluation was measured ``(n,)``, before the last training, in units of time."""
@@ -70,17 +73,27 @@ class ContextInputs:
         return np.column_stack([data.inputs, *self._columns(data)])
 
     def now(self, data: Dataset, held: int) -> Array:
-        """Return what holds after the first `held` evaluations: the last readings and the latest time."""
+        """Return what holds after the first `held` evaluations: the last readings and the latest time.
+
+        The fidelity is the highest: what is wanted is wanted there.
+        """
         columns = [column[:held] for column in self._columns(data)]
         last = [column[-1:].max(initial=-math.inf) for column in columns[: len(self.names)]]
-        return np.array([*last, *(c.max(initial=-math.inf) for c in columns[len(self.names) :])])
+        latest = [column.max(initial=-math.inf) for column in columns[self.count - self.timed :]]
+        return np.array([*last, *[0.0] * self.fidelities, *latest])
+
+    def at(self, now: Array, lack: Array) -> Array:
+        """Return what `now` gives, at another fidelity, of which `lack` ``(f,)`` is the distance."""
+        first = len(self.names)
+        return np.concatenate([now[:first], lack / _FIDELITY_UNIT, now[first + self.fidelities :]])
 
     def _columns(self, data: Dataset) -> list[Array]:
-        """Return the inputs that nobody sets, ``(n,)`` each."""
+        """Return the inputs that are no variables, ``(n,)`` each."""
         columns = [
             _scaled(data.lasting(name), scale)
             for name, scale in zip(self.names, self.scales, strict=True)
         ]
+        columns += list((data.lacks / _FIDELITY_UNIT).T)
         return [*columns, self.times(data)] if self.timed else columns
 
     def get_state(self) -> dict[str, Any]:
@@ -92,18 +105,19 @@ class ContextInputs:
         }
 
     @classmethod
-    def from_state(cls, state: dict[str, Any], contexts: Sequence[Context]) -> Self:
+    def from_state(cls, state: dict[str, Any], problem: Problem) -> Self:
         """Return the inputs that `get_state` came from.
 
         Raises:
             ValueError: If the state does not suit the contexts.
         """
-        names = tuple(context.name for context in contexts)
+        names = tuple(context.name for context in problem.context)
+        fidelities = len(problem.fidelity.variables) if problem.fidelity else 0
         scales = tuple(Scale(float(origin), float(unit)) for origin, unit in state["scales"])
         clock = Scale(*map(float, state["clock"]))
         if len(scales) != len(names) or not all(unit > 0.0 for _, unit in (*scales, clock)):
             raise ValueError(f"the scales of the contexts are {state['scales']}")
-        return cls(names, scales, clock, bool(state["timed"]))
+        return cls(names, scales, fidelities, clock, bool(state["timed"]))
 
 
 def _scaled(values: Array, scale: Scale) -> Array:

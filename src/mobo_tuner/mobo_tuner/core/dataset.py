@@ -25,7 +25,7 @@ class Evaluation:
 
     Attributes:
         index: Number of evaluations that were told before.
-        setpoint: Every variable, in physical units.
+        setpoint: Every variable, in physical units, and the fidelity.
         values: Diagnostics that were told, in their own units; NaN where not measured.
         stddevs: Their standard deviations; NaN where unknown.
         readbacks: Readbacks of variables, as far as they were told; the models learn from them in
@@ -35,7 +35,8 @@ class Evaluation:
         failed: Whether the machine reported a failure or, without a report, measured no objective and
             no constrained diagnostic.
         complete: Whether every objective and every constrained diagnostic was measured.
-        feasible: Whether it is complete and meets every constraint.
+        feasible: Whether it is complete, meets every constraint and is of the highest fidelity: what a
+            cheaper one reads says nothing for sure of that.
         forgotten: Whether it was withdrawn as a whole.
         forgotten_names: Diagnostics that were withdrawn from it.
     """
@@ -118,6 +119,7 @@ class Dataset:
                 variables, or an output is not a number.
         """
         target = self.problem.normalize(setpoint)
+        fidelity = self.problem.fidelity_of(setpoint)
         x, known = self._location(target, readbacks)
         if not isinstance(outputs, Mapping):
             raise ProblemError(f"the outputs must be a mapping of names, not {outputs!r:.60}")
@@ -140,7 +142,8 @@ class Dataset:
         evaluation = self._judged(
             Evaluation(
                 index=len(self.evaluations),
-                setpoint={v.name: float(setpoint[v.name]) for v in self.problem.variables},
+                setpoint={v.name: float(setpoint[v.name]) for v in self.problem.variables}
+                | fidelity,
                 values=values,
                 stddevs={name: stddev for name, (_, stddev) in measured.items()},
                 readbacks=known,
@@ -219,6 +222,8 @@ class Dataset:
         self._results.clear()
         complete = all(math.isfinite(value) for value in values.values())
         feasible = complete and self.problem.is_feasible(values)
+        if self.problem.fidelity:
+            feasible = feasible and self.problem.fidelity.is_highest(evaluation.setpoint)
         return replace(evaluation, complete=complete, feasible=feasible)
 
     def _location(
@@ -277,6 +282,29 @@ class Dataset:
     def targets(self) -> Array:
         """Normalised set-points of all evaluations ``(n, d)``."""
         return self._once("targets", lambda: self._matrix(self._targets))
+
+    def lack(self, setpoint: Mapping[str, float]) -> Array:
+        """Return how far a set-point is from the highest fidelity ``(f,)``, see `Fidelity.lack`."""
+        fidelity = self.problem.fidelity
+        return fidelity.lack(fidelity.of(setpoint)) if fidelity else np.empty(0)
+
+    @property
+    def lacks(self) -> Array:
+        """How far each evaluation is from the highest fidelity ``(n, f)``, see `Fidelity.lack`."""
+        return self._once(
+            "lacks",
+            lambda: np.array([self.lack(e.setpoint) for e in self.evaluations]).reshape(
+                len(self), len(self.lack({}))
+            ),
+        )
+
+    @property
+    def highest(self) -> BoolArray:
+        """Whether each evaluation is of the highest fidelity ``(n,)``."""
+        fidelity = self.problem.fidelity
+        if fidelity is None:
+            return np.ones(len(self), dtype=bool)
+        return self._once("highest", lambda: self._flags(lambda e: fidelity.is_highest(e.setpoint)))
 
     @property
     def times(self) -> Array:

@@ -313,6 +313,23 @@ class GaussianProcess:
             )
         return np.exp(drawn) if model.scaling.log else drawn
 
+    def correlations(self, x: FloatArray, others: FloatArray) -> FloatArray:
+        """Return the correlations of the function at x `(d,)` with observations at others `(m, d)`; `(m,)`."""
+        model, posterior, *_ = self._fitted
+        inputs = np.vstack([self._whole_inputs(x[None]), self._whole_inputs(others)])
+        with single_blas_thread():
+            _, root = posterior.joint(self._seen(inputs))
+        covariance = root @ root.T
+        variances = np.diagonal(covariance) + float(np.exp(model.parameters[-1]))
+        return np.asarray(covariance[0, 1:] / np.sqrt(covariance[0, 0] * variances[1:]))
+
+    def prior_correlations(self, x: FloatArray) -> FloatArray:
+        """Return the correlations of the function at the first of x `(m, d)` with the others, without observations."""
+        _, posterior, *_ = self._fitted
+        scaled = self._seen(self._whole_inputs(x)) @ posterior.factor
+        distances = np.square(scaled[1:] - scaled[0]).sum(axis=1)
+        return posterior.kernel.profile(distances)[0]
+
     def noise_evidence(self) -> NoiseEvidence:
         """Return the evidence that the readings are noisy, see `evidence.noise_evidence`."""
         model, posterior, y, stddev, _ = self._fitted

@@ -28,7 +28,7 @@ Standard deviations do not show it: a trained model of what it cannot explain ha
 def hints(data: Dataset, belief: Belief) -> list[str]:
     """Return one sentence for each thing that is wrong; none while points are on the front."""
     problem = data.problem
-    if len(data) == 0 or len(belief.front_rows()):
+    if not data.highest.any() or len(belief.front_rows()):
         return []
     if data.failed.all():
         return [f"all {len(data)} evaluations failed: see why the last one did"]

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,25 @@ _MOST_TRAINED = 250  # of these, for the hyperparameters, where there are more e
 _TRAINING_SHARE = 0.4  # of the time budget
 _NEWS = 1e-3  # of the readings' spread
 _NEWS_OF_NOISE = 0.4  # of the noise: about that of six readings' average
+_CLEARLY_BETTER = (
+    3.0  # log density of what was measured at the highest fidelity, at most 1 for each
+)
+_LEAST_HIGHEST = 4  # evaluations that say whether lower fidelities are of any use
 _FEW = 60  # evaluations up to which every training weighs the evidence
+
+
+class Foresight(NamedTuple):
+    """Prediction of one output at the highest fidelity, and what m evaluations may teach of it.
+
+    Attributes:
+        mean: Mean, as it is minimised.
+        stddev: Standard deviation.
+        correlations: Correlation of the output with the reading of each evaluation ``(m,)``.
+    """
+
+    mean: float
+    stddev: float
+    correlations: Array
 
 
 class Models:
@@ -69,13 +87,14 @@ class Models:
         self._steadiness = Steadiness(settings.noise, settings.drift)
         self._context = ContextInputs.of(Dataset(problem), self.drifts, settings.drift_time)
         self._processes = self._untrained()
-        self.validity = ValidityModel(self._one_hot)
+        self.validity = ValidityModel(self._one_hot, self._context.fidelities)
         self._judged = 0  # number of evaluations that the model of validity holds
         self._trained = 0  # number of evaluations with an output at the last training
         self._trained_rows = 0  # number of all evaluations at the last training
         self._held = 0  # number of all evaluations that the models hold
         self._outdated = False  # whether some of these were withdrawn or taken back
         self._suspects: dict[str, NDArray[np.intp]] = {}  # evaluations, by output, if there are any
+        self._apart: set[str] = set()  # outputs that are not learned from lower fidelities
 
     def _untrained(self) -> dict[str, GaussianProcess]:
         """Return the process of every output, without observations."""
@@ -197,9 +216,9 @@ class Models:
         if self._held == len(data) and self._trained:
             return self
         other = copy(self)
-        other.validity = ValidityModel(self._one_hot)
+        other.validity = ValidityModel(self._one_hot, self._context.fidelities)
         other._processes = {name: p.copy() for name, p in self._processes.items()}
-        other._suspects = dict(self._suspects)
+        other._suspects, other._apart = dict(self._suspects), set(self._apart)
         if self._trained and not self.is_surprised(data):
             other._learn(data, train=False, restarts=0, at_once=at_once)
         else:
@@ -207,13 +226,59 @@ class Models:
             other.update(data)
         return other
 
-    def predicted(self, x: Array) -> dict[str, Array]:
-        """Return the means ``(m,)`` of every output measured at least once, at x ``(m, d)``, in its unit."""
+    def predicted(self, x: Array, lacks: Array) -> dict[str, Array]:
+        """Return the means ``(m,)`` of every output measured at least once, in its unit.
+
+        Args:
+            x: Points ``(m, d)``.
+            lacks: Distances of their fidelities from the highest ``(m, f)``.
+        """
         return {
-            name: self._signs.get(name, 1.0) * process.predict(x)[0]
+            name: self._signs.get(name, 1.0) * process.predict(self._at(process, x, lacks))[0]
             for name, process in self._processes.items()
             if process.n
         }
+
+    def foresight(self, x: Array, lacks: Array) -> dict[str, Foresight]:
+        """Return what evaluations at one point may teach, for every output that was measured at least once.
+
+        Args:
+            x: Point ``(d,)``.
+            lacks: Distances of their fidelities from the highest ``(m, f)``.
+        """
+        foreseen = {}
+        for name, process in self._processes.items():
+            if process.n:
+                mean, stddev = process.predict(x[None])
+                correlations = process.correlations(x, self._at(process, x[None], lacks))
+                if name in self._apart:
+                    correlations[lacks.any(axis=1)] = 0.0
+                foreseen[name] = Foresight(float(mean[0]), float(stddev[0]), correlations)
+        return foreseen
+
+    def agreement(self, lacks: Array) -> float:
+        """Return how well the best one of lower fidelities tells of the highest: the share of the variance, 0 to 1.
+
+        It is that of a reading at one fidelity that is explained by a reading at the same place at the other, by
+        the models' kernels, as a mean of the outputs.
+
+        Args:
+            lacks: Distances of the fidelities from the highest ``(m, f)``.
+        """
+        shares = []
+        for name, process in self._processes.items():
+            if process.n:
+                place = np.zeros((1, len(self._problem.variables)))
+                inputs = self._at(process, place, np.vstack([0.0 * lacks[:1], lacks]))
+                shares.append(process.prior_correlations(inputs) ** 2 * (name not in self._apart))
+        return float(np.mean(shares, axis=0).max()) if shares else 1.0
+
+    def _at(self, process: GaussianProcess, x: Array, lacks: Array) -> Array:
+        """Return the inputs of a process at points x ``(m, d)`` of some fidelities ``(m, f)``."""
+        if not self._context.fidelities:
+            return x
+        now = [self._context.at(process.now, lack) for lack in lacks]
+        return np.column_stack([np.broadcast_to(x, (len(now), x.shape[1])), now])
 
     def expecting(self, data: Dataset) -> Models:
         """Return models that also hold the last evaluations of `data`, which are predictions.
@@ -235,7 +300,7 @@ class Models:
         if len(data) > self._judged or self._outdated:
             self._judged = len(data)
             judged = self._selection.of_failures(data, self._judged)
-            self.validity.fit(data.inputs[judged], ~data.failed[judged])
+            self.validity.fit(_located(data)[judged], ~data.failed[judged])
         count = self._count(data)
         if count == 0 or (count == self._count(data, self._held) and not self._outdated):
             return False
@@ -284,6 +349,8 @@ class Models:
         noisy = self._steadiness.learns_noise
         look = train and (look or restarts is None or count <= _FEW)
         for position, (name, process) in enumerate(self._processes.items()):
+            if train and self._context.fidelities:
+                self._judge_fidelities(name, data, noisy, [self._seed, 9, count, position])
             y, stddev = self._observations(name, data)
             rows = np.flatnonzero(np.isfinite(y))
             if len(rows) == 0:
@@ -325,6 +392,38 @@ class Models:
             if self._steadiness.learns_noise and not noisy and not self._is_hurried:
                 self._learn(data, train, restarts, again=True)
         return trained
+
+    def _judge_fidelities(self, name: str, data: Dataset, noisy: bool, seed: list[int]) -> None:
+        """Find out whether lower fidelities say anything of an output at the highest one.
+
+        If a model without them predicts left-out evaluations at the highest fidelity better, it is taken.
+
+        Args:
+            name: Output.
+            data: Evaluations.
+            noisy: Whether the machine is known to be noisy.
+            seed: Seed of the trainings.
+        """
+        self._apart.discard(name)
+        y, stddev = self._observations(name, data)
+        known = np.isfinite(y)
+        if np.count_nonzero(known & data.highest) < _LEAST_HIGHEST or data.highest[known].all():
+            return
+        x, densities = self._context.inputs(data), []
+        for usable in (known, known & data.highest):
+            rows = self._kept(data, np.flatnonzero(usable))
+            process = self._processes[name].untrained()
+            rng = np.random.default_rng(seed)
+            process.fit(
+                x[rows], y[rows], stddev[rows], rng=rng, most_trained=_MOST_TRAINED, noisy=noisy
+            )
+            density = np.full(len(data), np.nan)
+            density[rows] = process.leave_one_out().log_density
+            densities.append(density)
+        # Of readings that are nearly all alike, a few would outweigh all others.
+        gains = np.clip(densities[1] - densities[0], -1.0, 1.0)
+        if np.nansum(gains) > _CLEARLY_BETTER:
+            self._apart.add(name)
 
     def _timed_outputs(self, data: Dataset) -> Iterator[tuple[GaussianProcess, Array]]:
         """Yield the process of each output, and when its observations were measured ``(n,)``."""
@@ -445,9 +544,9 @@ class Models:
         """Drop what was withdrawn from `data` and learn what was taken back; `update` trains next."""
         if self._judged:
             judged = self._selection.of_failures(data, self._judged)
-            self.validity = ValidityModel(self._one_hot)
+            self.validity = ValidityModel(self._one_hot, self._context.fidelities)
             if len(judged):
-                self.validity.fit(data.inputs[judged], ~data.failed[judged])
+                self.validity.fit(_located(data)[judged], ~data.failed[judged])
         for name, process in self._processes.items():
             y, stddev = self._observations(name, data)
             rows = self._rows(data, y)
@@ -463,6 +562,8 @@ class Models:
         """Return modelled values and their standard deviations ``(n,)`` each; NaN for suspects."""
         y = data.column(name) * self._signs.get(name, 1.0)
         y[self.suspects(name)] = np.nan
+        if name in self._apart:
+            y[~data.highest] = np.nan
         return y, data.stddev_column(name)
 
     def get_state(self) -> dict[str, Any]:
@@ -476,6 +577,7 @@ class Models:
             "noisy": self._steadiness.is_noisy_by_evidence,
             "drift_evidence": self._steadiness.drift_evidence,
             "context": self._context.get_state(),
+            "apart": sorted(self._apart),
             "suspects": {name: rows.tolist() for name, rows in self._suspects.items()},
             "validity": self.validity.get_state(),
             "processes": {name: p.get_state() for name, p in self._processes.items()},
@@ -498,6 +600,7 @@ class Models:
         self._suspects = {
             name: np.array(rows, dtype=np.intp) for name, rows in state["suspects"].items()
         }
+        self._apart = set(state.get("apart", ()))
         if any((r < 0).any() or (r >= len(data)).any() for r in self._suspects.values()):
             raise ProblemError("the state suspects evaluations that there are not")
         if not (
@@ -509,10 +612,14 @@ class Models:
                 f"evaluations and hold {self._held}, those of failures {self._judged}, "
                 f"but there are {len(data)}"
             )
-        self._context = ContextInputs.from_state(state["context"], self._problem.context)
+        self._context = ContextInputs.from_state(state["context"], self._problem)
         judged = self._selection.of_failures(data, self._judged)
         self.validity = ValidityModel.from_state(
-            state["validity"], data.inputs[judged], ~data.failed[judged], self._one_hot
+            state["validity"],
+            _located(data)[judged],
+            ~data.failed[judged],
+            self._one_hot,
+            self._context.fidelities,
         )
         for name in self._processes:
             y, stddev = self._observations(name, data)
@@ -530,6 +637,11 @@ class Models:
             if process.n != len(rows) or process.contexts != self._context.count:
                 raise ProblemError(f"the state lacks what the model of '{name}' was fitted to")
         self._set_now(data)
+
+
+def _located(data: Dataset) -> Array:
+    """Return where each evaluation was, and its distance from the highest fidelity ``(n, d + f)``."""
+    return np.hstack([data.inputs, data.lacks])
 
 
 def _is_time_to_restart(trained: int, count: int) -> bool:

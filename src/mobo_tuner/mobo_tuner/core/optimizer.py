@@ -389,10 +389,10 @@ class Optimizer:
         """
         if not isinstance(problem, Problem):
             raise ProblemError(f"problem must be a Problem, not {problem!r:.60}")
-        if set(problem.variable_names) != set(self.problem.variable_names):
+        if set(problem.setpoint_names) != set(self.problem.setpoint_names):
             raise ProblemError(
-                f"the variables are {', '.join(problem.variable_names)}; with what was measured "
-                f"only {', '.join(self.problem.variable_names)} are allowed"
+                f"the variables are {', '.join(problem.setpoint_names)}; with what was measured "
+                f"only {', '.join(self.problem.setpoint_names)} are allowed"
             )
         changed = self._like_this(problem)
         self._tell_all_to(changed)

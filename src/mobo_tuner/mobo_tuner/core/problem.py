@@ -21,8 +21,10 @@ from numpy.typing import NDArray
 
 from mobo_tuner.core.derived import Derived, Reading, Result
 from mobo_tuner.core.domain import Domain, EmptyDomainError
+from mobo_tuner.core.fidelity import Fidelity
 from mobo_tuner.core.one_hot import OneHot
 from mobo_tuner.core.problem_definition import (
+    FIDELITY,
     SECTIONS,
     Quantities,
     definition_of,
@@ -45,7 +47,9 @@ from mobo_tuner.names import topic_token
 
 __all__ = [
     "FARTHEST",
+    "FIDELITY",
     "LARGEST",
+    "ONE_FIDELITY",
     "SECTIONS",
     "Array",
     "Constraint",
@@ -65,6 +69,8 @@ BoolArray = NDArray[np.bool_]
 FARTHEST = 1e5
 """Largest distance of a set-point from the bounds, in units of the variable's range: the models
 cannot tell what lies farther away from one another."""
+ONE_FIDELITY = "but a machine has one fidelity only; 'mobo.py campaign' optimises simulations, which have several"
+"""Reason why a problem with several fidelities is not tuned on a machine."""
 _SINGLE_PRECISION = 1e-6  # relative difference of a sentinel that passed through 32 bits
 
 
@@ -95,6 +101,7 @@ class Problem:
     limits: tuple[Limit, ...] = ()
     derived: tuple[Derived, ...] = ()
     context: tuple[Context, ...] = ()
+    fidelity: Fidelity | None = None
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> Problem:
@@ -129,6 +136,11 @@ class Problem:
                 "all objectives and constraints are derived from variables alone; at least one that "
                 "is measured is needed"
             )
+        if problem.fidelity and any(c.safe for c in problem.constraints):
+            raise ProblemError(
+                "'fidelity' is given, and a constraint that is safe; one of the two is allowed: what is "
+                "safe is a machine's, which has one fidelity only"
+            )
         measured = {*problem.objective_names, *(o.name for o in problem.observables)}
         for variable in problem.variables:
             if variable.name in measured:
@@ -155,7 +167,7 @@ class Problem:
             ) from None
         return problem
 
-    def to_dict(self) -> dict[str, dict[str, dict[str, Any]]]:
+    def to_dict(self) -> dict[str, dict[str, Any]]:
         """Return the mapping from which :meth:`from_dict` builds an equal problem."""
         return definition_of(
             Quantities(
@@ -166,6 +178,7 @@ class Problem:
                 self.limits,
                 self.derived,
                 self.context,
+                self.fidelity,
             )
         )
 
@@ -173,7 +186,7 @@ class Problem:
         """Check that every name has a topic of its own."""
         names = dict.fromkeys(
             [
-                *(v.name for v in self.variables),
+                *self.setpoint_names,
                 *self.required_diagnostics,
                 *(o.name for o in self.observables),
                 *(d.name for d in self.derived),
@@ -194,6 +207,11 @@ class Problem:
         return tuple(v.name for v in self.variables)
 
     @property
+    def setpoint_names(self) -> tuple[str, ...]:
+        """Names of what a set-point has: the variables, then those of the fidelity."""
+        return self.variable_names + (self.fidelity.names if self.fidelity else ())
+
+    @property
     def objective_names(self) -> tuple[str, ...]:
         """Names of the objectives, in order."""
         return tuple(o.name for o in self.objectives)
@@ -202,6 +220,7 @@ class Problem:
     def units(self) -> dict[str, str]:
         """Unit of every quantity that has one."""
         quantities: tuple[Constraint | Derived | Observable | Objective | Variable, ...] = (
+            *(self.fidelity.variables if self.fidelity else ()),
             *self.derived,
             *self.constraints,
             *self.observables,
@@ -346,7 +365,7 @@ class Problem:
         """Return a set-point in physical units scaled to ``[-1, 1]``, ``(d,)``.
 
         Args:
-            setpoint: Value of each variable, in its unit.
+            setpoint: Value of each variable, in its unit; its fidelity, if any, is no part of the result.
 
         Raises:
             ProblemError: If a variable is missing or unknown, or its value is not a finite number or
@@ -354,7 +373,7 @@ class Problem:
         """
         if not isinstance(setpoint, Mapping):
             raise ProblemError(f"the set-point must be a mapping, not {describe(setpoint)}")
-        check_names("the set-point", setpoint, self.variable_names)
+        check_names("the set-point", setpoint, self.setpoint_names)
         values = []
         for variable in self.variables:
             if variable.name not in setpoint:
@@ -371,8 +390,20 @@ class Problem:
         return np.array(values)
 
     def denormalize(self, x: Array) -> dict[str, float]:
-        """Return the set-point inside the bounds, in physical units, for ``x`` ``(d,)`` in ``[-1, 1]``."""
-        return {v.name: v.denormalize(float(xi)) for v, xi in zip(self.variables, x, strict=True)}
+        """Return the set-point inside the bounds, in physical units, for ``x`` ``(d,)`` in ``[-1, 1]``.
+
+        Its fidelity is the highest.
+        """
+        places = zip(self.variables, x, strict=True)
+        return {v.name: v.denormalize(float(xi)) for v, xi in places} | self.fidelity_of({})
+
+    def fidelity_of(self, setpoint: Mapping[str, float]) -> dict[str, float]:
+        """Return the fidelity of a set-point, the highest where it says nothing; empty if there are none.
+
+        Raises:
+            ProblemError: If a value is not within its range.
+        """
+        return self.fidelity.of(setpoint) if self.fidelity else {}
 
     @property
     def open_variables(self) -> tuple[str, ...]:

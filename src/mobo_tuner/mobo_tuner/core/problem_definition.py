@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
 from mobo_tuner.core.derived import CONSTANTS, Derived
+from mobo_tuner.core.fidelity import Cost, Fidelity
 from mobo_tuner.core.quantities import (
     Constraint,
     Context,
@@ -33,6 +34,7 @@ _OF_VARIABLES = (
     *("min", "max", "unit", "cost", "step", "choices", "values", "scale", "fixed", "around"),
     "approach",
 )
+_OF_FIDELITY = ("min", "max", "unit", "step", "choices", "scale", "target")
 _OF_NUMBERS = ("min", "max", "step", "scale", "around", "approach")  # not of unordered choices
 SECTIONS = (
     "variables",
@@ -43,6 +45,8 @@ SECTIONS = (
     "observables",
     "context",
 )
+FIDELITY = "fidelity"
+"""Section of a simulation's fidelity, which a machine does not have."""
 MOST_VALUES = 2_000_000
 """Largest number of values on the grid of a variable."""
 PRESENT = "present"
@@ -62,6 +66,7 @@ class Quantities(NamedTuple):
     limits: tuple[Limit, ...]
     derived: tuple[Derived, ...]
     context: tuple[Context, ...]
+    fidelity: Fidelity | None
 
 
 def read_definition(mapping: Mapping[str, Any]) -> Quantities:
@@ -74,7 +79,7 @@ def read_definition(mapping: Mapping[str, Any]) -> Quantities:
         ProblemError: If a key is unknown or missing, or a value has the wrong type or is not allowed.
     """
     parameters = _problem_parameters(mapping)
-    check_names("the problem", parameters, SECTIONS)
+    check_names("the problem", parameters, (*SECTIONS, FIDELITY))
     sections = {name: _section(parameters, name) for name in SECTIONS}
     for name in ("variables", "objectives"):
         if not sections[name]:
@@ -84,6 +89,7 @@ def read_definition(mapping: Mapping[str, Any]) -> Quantities:
     constraints = tuple(_constraint(n, m) for n, m in sections["constraints"].items())
     _check_derived(derived, variables, constraints)
     _check_context(sections)
+    fidelity = _fidelity(parameters.get(FIDELITY), sections)
     observables = dict(sections["observables"])
     for name, entry in sections["context"].items():  # whatever is a context is also observed
         observables.setdefault(name, {k: v for k, v in entry.items() if k in ("unit", "invalid")})
@@ -97,10 +103,11 @@ def read_definition(mapping: Mapping[str, Any]) -> Quantities:
         limits=tuple(_limit(n, m, variables) for n, m in sections["limits"].items()),
         derived=derived,
         context=_with_units((_context(n, m) for n, m in sections["context"].items()), derived),
+        fidelity=fidelity,
     )
 
 
-def definition_of(quantities: Quantities) -> dict[str, dict[str, dict[str, Any]]]:
+def definition_of(quantities: Quantities) -> dict[str, dict[str, Any]]:
     """Return the mapping from which `read_definition` reads equal quantities."""
     limits = {limit.name: _limit_entry(limit) for limit in quantities.limits}
     derived = {d.name: {"formula": d.formula, "unit": d.unit} for d in quantities.derived}
@@ -114,22 +121,7 @@ def definition_of(quantities: Quantities) -> dict[str, dict[str, dict[str, Any]]
         for c in quantities.context
     }
     return {
-        "variables": {
-            v.name: {
-                key: bound
-                for key, bound in (("min", v.minimum), ("max", v.maximum))
-                if math.isfinite(bound) and not v.choice_names
-            }
-            | {"unit": v.unit, "cost": v.cost}
-            | ({"step": v.step} if v.step else {})
-            | _choices_entry(v)
-            | ({"scale": v.scale} if v.scale != "linear" else {})
-            | ({"fixed": _fixed_entry(v)} if v.fixed is not None else {})
-            | ({"fixed": PRESENT} if v.at_present else {})
-            | ({"around": v.around} if v.around is not None else {})
-            | ({"approach": v.approach} if v.approach else {})
-            for v in quantities.variables
-        },
+        "variables": {v.name: _variable_entry(v) for v in quantities.variables},
         "objectives": {
             o.name: {"direction": o.direction}
             | ({"reference": o.reference} if math.isfinite(o.reference) else {})
@@ -157,7 +149,34 @@ def definition_of(quantities: Quantities) -> dict[str, dict[str, dict[str, Any]]
         **({"limits": limits} if limits else {}),
         **({"derived": derived} if derived else {}),
         **({"context": context} if context else {}),
+        **({FIDELITY: _fidelity_entry(quantities.fidelity)} if quantities.fidelity else {}),
     }
+
+
+def _variable_entry(v: Variable) -> dict[str, Any]:
+    return (
+        {
+            key: bound
+            for key, bound in (("min", v.minimum), ("max", v.maximum))
+            if math.isfinite(bound) and not v.choice_names
+        }
+        | {"unit": v.unit, "cost": v.cost}
+        | ({"step": v.step} if v.step else {})
+        | _choices_entry(v)
+        | ({"scale": v.scale} if v.scale != "linear" else {})
+        | ({"fixed": _fixed_entry(v)} if v.fixed is not None else {})
+        | ({"fixed": PRESENT} if v.at_present else {})
+        | ({"around": v.around} if v.around is not None else {})
+        | ({"approach": v.approach} if v.approach else {})
+    )
+
+
+def _fidelity_entry(fidelity: Fidelity) -> dict[str, Any]:
+    entries: dict[str, Any] = {}
+    for variable, target in zip(fidelity.variables, fidelity.targets, strict=True):
+        entry = _variable_entry(variable) | {"target": target}
+        entries[variable.name] = {key: entry[key] for key in _OF_FIDELITY if key in entry}
+    return entries | {"cost": fidelity.cost.formula}
 
 
 def _problem_parameters(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -193,8 +212,8 @@ def _section(parameters: Mapping[str, Any], name: str) -> Mapping[str, Mapping[s
     return {key: entry or {} for key, entry in section.items()}
 
 
-def _variable(name: str, entry: Mapping[str, Any]) -> Variable:
-    where = f"variables.{name}"
+def _variable(name: str, entry: Mapping[str, Any], section: str = "variables") -> Variable:
+    where = f"{section}.{name}"
     check_names(where, entry, _OF_VARIABLES)
     scale = _scale(where, entry)
     at_present = entry.get("fixed") == PRESENT
@@ -613,6 +632,47 @@ def _check_context(sections: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> N
                     f"context.{name}.{key} is {entry[key]!r:.40}, and observables.{name}.{key} is "
                     f"{observed[key]!r:.40}; one of the two is allowed"
                 )
+
+
+def _fidelity(
+    given: object, sections: Mapping[str, Mapping[str, Mapping[str, Any]]]
+) -> Fidelity | None:
+    """Return the fidelity of a section that may be missing."""
+    if given is None:
+        return None
+    if not isinstance(given, Mapping):
+        raise ProblemError(f"'{FIDELITY}' must be a mapping of names, not {describe(given)}")
+    entries = _section({FIDELITY: {n: e for n, e in given.items() if n != "cost"}}, FIDELITY)
+    if not entries:
+        raise ProblemError(f"'{FIDELITY}' has no variable: at least one is needed")
+    variables, targets = [], []
+    for name, entry in entries.items():
+        where = f"{FIDELITY}.{name}"
+        check_names(where, entry, _OF_FIDELITY)
+        for section, others in sections.items():
+            if name in others:
+                raise ProblemError(f"{where} is also in '{section}'; another name is allowed")
+        variable = _variable(name, {k: v for k, v in entry.items() if k != "target"}, FIDELITY)
+        if variable.choice_names:
+            raise ProblemError(f"{where}.choices has names; numbers are allowed")
+        values = variable.values
+        ends = (
+            (variable.minimum, variable.maximum)
+            if values is None
+            else (float(values[0]), float(values[-1]))
+        )
+        if not ends[0] < ends[1]:
+            raise ProblemError(f"{where} has one value only; at least two are allowed")
+        target = as_number(f"{where}.target", entry.get("target", ends[1]))
+        if target not in ends:
+            raise ProblemError(
+                f"{where}.target is {target:g}; one of its ends is allowed, {ends[0]:g} or {ends[1]:g}"
+            )
+        variables.append(variable)
+        targets.append(target)
+    formula = _required(FIDELITY, given, "cost")
+    cost = Cost("cost", as_string(f"{FIDELITY}.cost", formula))
+    return Fidelity(tuple(variables), tuple(targets), cost)
 
 
 def _ends(where: str, entry: Mapping[str, Any]) -> tuple[float, float]:

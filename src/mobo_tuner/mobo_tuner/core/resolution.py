@@ -44,8 +44,8 @@ class Taken:
 
 
 def taken(data: Dataset) -> Taken:
-    """Return the boxes around the evaluations that were complete or failed."""
-    done = (data.complete & data.valid) | data.failed
+    """Return the boxes around the evaluations of the highest fidelity that were complete or failed."""
+    done = ((data.complete & data.valid) | data.failed) & data.highest
     inputs, targets = data.inputs[done], data.targets[done]
     if len(inputs) == 0:
         return Taken(inputs, inputs)
@@ -107,7 +107,7 @@ def _common_divisor(a: float, b: float) -> float:
 
 def readings_differ(data: Dataset) -> bool:
     """Return whether a required diagnostic read differently at one and the same place."""
-    inputs = np.round(data.inputs / SAME)
+    inputs = np.round(np.hstack([data.inputs, data.lacks]) / SAME)
     if len(np.unique(inputs, axis=0)) == len(inputs):
         return False
     for name in data.problem.required_diagnostics:

@@ -9,6 +9,7 @@ import numpy as np
 
 from mobo_tuner.core.archive import Archive
 from mobo_tuner.core.candidate_search import CandidateSearch
+from mobo_tuner.core.fidelity_choice import choose_fidelity, needs_design
 from mobo_tuner.core.linear_algebra import single_blas_thread
 from mobo_tuner.core.problem import Array
 from mobo_tuner.core.safety import SafeSearch, is_guarded, was_safe
@@ -40,14 +41,21 @@ class Suggester:
         """Return the next set-point; the archive's models are updated."""
         index = len(archive.dataset)
         source: Source = "initial" if index < archive.initial_evaluations else "model"
+        problem, search = archive.problem, self._search(archive)
         with single_blas_thread():
-            if is_guarded(archive.problem, self._settings):
+            if is_guarded(problem, self._settings):
                 x = SafeSearch(archive, self._settings, self._seed).candidate()
             elif source == "initial":
-                x = self._search(archive).initial_point(index)
+                x = search.initial_point(index)
+            elif problem.fidelity and needs_design(archive, problem.fidelity):
+                x = search.initial_point(int(archive.dataset.highest.sum()))
+                return Suggestion(problem.denormalize(x), source)
             else:
-                x = self._search(archive).candidate()
-            return Suggestion(archive.problem.denormalize(x), source)
+                x = search.candidate()
+            setpoint = problem.denormalize(x)
+            if problem.fidelity:
+                setpoint |= choose_fidelity(archive, problem.fidelity, x, self._seed)
+            return Suggestion(setpoint, source)
 
     def expected_gain(self, archive: Archive, x: Array) -> float:
         """Return the share by which an evaluation at x ``(d,)`` is expected to raise the hypervolume.

@@ -59,8 +59,9 @@ class ValidityModel:
     there a probability of a few percent is outbid again and again.
     """
 
-    def __init__(self, one_hot: OneHot | None = None) -> None:
+    def __init__(self, one_hot: OneHot | None = None, fidelities: int = 0) -> None:
         self._one_hot = one_hot
+        self._fidelities = fidelities
         self._parameters: FloatArray | None = None
         self._trained = 0  # number of evaluations at the last training
         self._posterior: _LaplacePosterior | None = None
@@ -118,7 +119,7 @@ class ValidityModel:
         """Return the result of `predict_log_probability` and its gradient in x `(m, d)`."""
         inputs = self._checked(x)
         if self._posterior is None:
-            return np.zeros(len(inputs)), np.zeros_like(inputs)
+            return np.zeros(len(inputs)), np.zeros(np.shape(x))
         with single_blas_thread():
             mean, stddev, gradients = self._posterior.predict_with_gradient(self._seen(inputs))
         if self._one_hot is not None:
@@ -128,7 +129,8 @@ class ValidityModel:
         ratio_gradient = (
             gradients.mean - (ratio * stddev / spread)[:, None] * gradients.stddev
         ) / spread[:, None]
-        return np.asarray(log_ndtr(ratio)), _hazard(ratio)[:, None] * ratio_gradient
+        by_inputs = _hazard(ratio)[:, None] * ratio_gradient
+        return np.asarray(log_ndtr(ratio)), by_inputs[:, : np.shape(x)[1]]
 
     def log_weight(self, x: ArrayLike) -> FloatArray:
         """Return the logarithm `(m,)` of the acquisition function's factor at x `(m, d)`.
@@ -176,6 +178,7 @@ class ValidityModel:
         x: ArrayLike = (),
         valid: ArrayLike = (),
         one_hot: OneHot | None = None,
+        fidelities: int = 0,
     ) -> ValidityModel:
         """Return the model that `get_state` came from, bitwise, given the evaluations of its last `fit`.
 
@@ -184,11 +187,12 @@ class ValidityModel:
             x: Normalised inputs `(n, d)`.
             valid: Whether each evaluation was valid, booleans `(n,)`.
             one_hot: How the kernel sees unordered inputs, again.
+            fidelities: Number of the last inputs that are zero in predictions, again.
 
         Raises:
             ValueError: If the evaluations do not suit the state.
         """
-        model = cls(one_hot)
+        model = cls(one_hot, fidelities)
         if state["d"] is None:
             return model
         inputs, outcomes = _checked_outcomes(x, valid, state["d"])
@@ -213,7 +217,10 @@ class ValidityModel:
     def _checked(self, x: ArrayLike) -> FloatArray:
         if self._d is None:
             raise ValueError("the validity model has no evaluations yet: call fit first")
-        return as_inputs(x, self._d)
+        if not self._fidelities or np.shape(x)[-1] == self._d:
+            return as_inputs(x, self._d)
+        inputs = as_inputs(x, self._d - self._fidelities)
+        return np.hstack([inputs, np.zeros((len(inputs), self._fidelities))])
 
 
 def _checked_outcomes(

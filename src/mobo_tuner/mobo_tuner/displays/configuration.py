@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mobo_tuner.core.derived import Derived
+from mobo_tuner.core.fidelity import Fidelity
 from mobo_tuner.core.problem import Constraint, Context, Limit, Objective, Problem, Variable
 from mobo_tuner.machine.description import MachineDescription
 
@@ -67,6 +68,8 @@ def explanation(configuration: Configuration) -> list[str]:
     lines += _entry("observables", [observables or "none"])
     if problem.context:
         lines += _entry("context", _table(map(_context, problem.context)))
+    if problem.fidelity:
+        lines += _entry("fidelity", _fidelity(problem.fidelity))
     lines += _entry("method", [_method(configuration.tuner)])
     lines += _entry("budget", [_budget(configuration.tuner)])
     lines += _entry("ends early", _stops(configuration.tuner) or ["never"])
@@ -111,6 +114,16 @@ def _variable(variable: Variable) -> tuple[str, str]:
     if variable.step and variable.fixed is None:
         text += f", in steps of {variable.step:g}"
     return variable.name, text + (", logarithmic" if variable.scale == "log" else "")
+
+
+def _fidelity(fidelity: Fidelity) -> list[str]:
+    targets = zip(fidelity.variables, fidelity.targets, strict=True)
+    rows = [
+        (name, f"{text}; the highest is {target:g}")
+        for (name, text), target in ((_variable(v), target) for v, target in targets)
+    ]
+    cheapest = f"{fidelity.shares[:-1].min():.3g} of the highest at least"
+    return _table([*rows, ("cost", f"{fidelity.cost.formula}; {cheapest}")])
 
 
 def _open(variable: Variable) -> str:

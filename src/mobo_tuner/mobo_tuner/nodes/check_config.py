@@ -21,7 +21,7 @@ from typing import Any
 
 import yaml
 
-from mobo_tuner.core.problem import Problem
+from mobo_tuner.core.problem import ONE_FIDELITY, Problem
 from mobo_tuner.core.settings import method_of
 from mobo_tuner.displays.configuration import Configuration, explanation
 from mobo_tuner.errors import FileError, ParameterError, UserError
@@ -98,6 +98,8 @@ def check(
             },
         )
     simulation = str(sections.get("campaign", {}).get("command", ""))
+    if problem.fidelity and (section or program or not simulation):
+        raise ParameterError(f"'fidelity' is given, {ONE_FIDELITY}")
     return Configuration(str(path), problem, tuner, section, machine, program, simulation)
 
 

@@ -6,7 +6,7 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.task import Future
 
-from mobo_tuner.core.problem import SECTIONS, Problem
+from mobo_tuner.core.problem import FIDELITY, ONE_FIDELITY, SECTIONS, Problem, ProblemError
 from mobo_tuner.core.settings import method_of
 from mobo_tuner.errors import UserError
 from mobo_tuner.ros.parameters import (
@@ -50,6 +50,8 @@ class Tuner:
         self.node = Node("tuner", automatically_declare_parameters_from_overrides=True)
         try:
             given = given_parameters(self.node)
+            if any(name.partition(".")[0] == FIDELITY for name in given):
+                raise ProblemError(f"'{FIDELITY}' is given, {ONE_FIDELITY}")
             specs = tuner_specs(given)
             refuse_unknown(given, [*(spec.name for spec in specs), *SECTIONS])
             parameters = TunerParameters.from_values(with_method(declare(self.node, specs)))

@@ -247,7 +247,7 @@ def run(begun: Begun, simulation: Simulator) -> None:
     """
     optimizer, log, settings = begun
     campaign, budget = settings["campaign"], settings["budget"]
-    names = optimizer.problem.variable_names
+    names = optimizer.problem.setpoint_names
     with Campaign(optimizer, log, budget) as generator:
         outputs = [(name, float) for name in generator.vocs.output_names]
         inputs = [*generator.vocs.variable_names, *generator.vocs.constant_names]

@@ -137,7 +137,11 @@ class MoboGenerator(Generator):  # type: ignore[misc]  # gest-api has no types
             v.name: as_float(v.name, v.number(result.get(v.name, self._fixed.get(v.name))))
             for v in problem.variables
         }
+        for name in problem.setpoint_names:
+            if name not in setpoint and result.get(name) is not None:  # of the fidelity
+                setpoint[name] = as_float(name, result[name])
         problem.normalize(setpoint)
+        setpoint |= problem.fidelity_of(setpoint)
         outputs = {
             name: as_float(name, result[name])
             for name in self.vocs.output_names

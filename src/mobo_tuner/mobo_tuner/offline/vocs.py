@@ -65,11 +65,12 @@ def vocs_of(problem: Problem) -> VOCS:
     """Return the VOCS of a problem.
 
     It lacks what a VOCS cannot say: units, costs, the reference point, the truncation box, scales and
-    limits between variables. A fixed variable becomes a constant.
+    limits between variables. A fixed variable becomes a constant, one of the fidelity a variable.
     """
     variables: dict[str, Any] = {}
     constants = {}
-    for variable in problem.variables:
+    fidelities = problem.fidelity.variables if problem.fidelity else ()
+    for variable in (*problem.variables, *fidelities):
         values = variable.values
         if variable.fixed is not None:
             constants[variable.name] = variable.fixed

@@ -59,7 +59,8 @@ def columns_of(run: RecordedRun) -> tuple[dict[str, Column], dict[str, str]]:
         if problem.units.get(name):
             units[column] = problem.units[name]
 
-    for variable in problem.variables:
+    fidelities = problem.fidelity.variables if problem.fidelity else ()
+    for variable in (*problem.variables, *fidelities):
         values = [r.setpoint.get(variable.name, math.nan) for r in records]
         add(variable.name, "", _named(variable, values))
     diagnostics = dict.fromkeys(

@@ -273,7 +273,7 @@ class _Builder:
             self._count += 1
         elif isinstance(record, ChangeRecord):
             self._check_index(record.index)
-            if set(record.problem.variable_names) != set(self._problem.variable_names):
+            if set(record.problem.setpoint_names) != set(self._problem.setpoint_names):
                 raise ValueError("its variables are not those of the start")
             self._problem = record.problem
         elif isinstance(record, ForgetRecord):

@@ -125,6 +125,10 @@ class WarmStart:
                 return f"outside the bounds of '{variable.name}'"
             if variable.choice_names and value not in variable.choices:
                 return f"at none of the choices of '{variable.name}'"
+        try:
+            problem.fidelity_of(values)
+        except ProblemError as error:
+            return str(error)
         for limit in problem.limits:
             if not limit.is_met(values):
                 return f"beyond limits.{limit.name}"
@@ -156,7 +160,7 @@ class WarmStart:
             source="operator",  # no suggestion of this run, so that a replay compares none
             attempts=1,
             stamp=old.stamp,
-            setpoint={n: old.values[n] for n in names},
+            setpoint={n: v for n, v in old.values.items() if n in problem.setpoint_names},
             readbacks={n: v for n, v in old.readbacks.items() if n in names},
             diagnostics={n: (old.values[n], old.stddevs.get(n, math.nan)) for n in known},
             valid=True,

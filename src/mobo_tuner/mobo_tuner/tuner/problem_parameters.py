@@ -176,6 +176,29 @@ QUANTITY_PARAMETERS = tuple(
         ("context", "unit", "text, empty", _UNIT),
     )
 )
+FIDELITY_PARAMETERS = (
+    ("fidelity.<name>.min", "number, required", "Lowest value; not required with choices."),
+    ("fidelity.<name>.max", "number, required", "Highest value; not required with choices."),
+    ("fidelity.<name>.step", "number > 0, none", "Step of its grid, as for a variable."),
+    ("fidelity.<name>.choices", "list of numbers, none", "Only values that are chosen."),
+    (
+        "fidelity.<name>.scale",
+        "linear or log, linear",
+        "Whether differences or ratios of its values matter.",
+    ),
+    (
+        "fidelity.<name>.target",
+        "number, its highest value",
+        "Value at the highest fidelity, one end of its range.",
+    ),
+    ("fidelity.<name>.unit", "text, empty", "Unit."),
+    (
+        "fidelity.cost",
+        "text, required",
+        "Formula of the cost of one simulation, over the names in this section, in any unit.",
+    ),
+)
+"""Names, types and meanings in the section of a campaign's fidelities, which is no parameter of a node."""
 _BY_NAME = {(p.section, p.leaf): p for p in QUANTITY_PARAMETERS}
 
 

@@ -1,0 +1,121 @@
+"""The choice of a fidelity for a candidate: gain of hypervolume, or knowledge of it, per cost."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mobo_tuner.core.archive import Archive
+from mobo_tuner.core.constraints import log_probability_between
+from mobo_tuner.core.dataset import Dataset
+from mobo_tuner.core.fidelity import Fidelity
+from mobo_tuner.core.models import Foresight
+from mobo_tuner.core.problem import Array
+from mobo_tuner.core.resolution import SAME
+
+_DRAWS = 64  # of what a cheaper evaluation may read
+_LEAST_AGREEMENT = 0.5  # share of the variance, below which what is cheap replaces no design
+_MOST_SPENT = 1.0  # on cheaper evaluations since the last one at the highest fidelity, in its cost
+
+
+def needs_design(archive: Archive, fidelity: Fidelity) -> bool:
+    """Return whether a design at the highest fidelity is due: the cheaper ones turned out to tell little of it.
+
+    The archive's models are updated.
+    """
+    archive.update()
+    highest = np.count_nonzero(archive.dataset.highest)
+    if highest >= archive.initial_evaluations or not archive.models.ready:
+        return False
+    lacks = np.array([fidelity.lack(level) for level in fidelity.levels[:-1]])
+    return archive.models.agreement(lacks) < _LEAST_AGREEMENT
+
+
+def choose_fidelity(archive: Archive, fidelity: Fidelity, x: Array, seed: int) -> dict[str, float]:
+    """Return the fidelity with which a candidate should be evaluated: the cheapest in the initial design.
+
+    At the highest fidelity, an evaluation gains the expected improvement v itself. A cheaper one gains
+    knowledge: after it, the candidate promises w in place of v, and another one is taken, which promised
+    about as much, where w is less. The expected gain of that is E max(w - v, 0), by draws of what it may
+    read. What gains most for its cost is chosen. The highest fidelity is also chosen if so much was spent
+    on cheaper evaluations since the last one there as one there costs: whatever the models believe of the
+    cheaper ones, at most twice the cost is spent.
+
+    Args:
+        archive: Evaluations and models of the last update.
+        fidelity: Fidelities that may be chosen.
+        x: Candidate ``(d,)``.
+        seed: Seed of the draws.
+    """
+    data, models = archive.dataset, archive.models
+    levels, shares = fidelity.levels, fidelity.shares
+    if len(data) < archive.initial_evaluations:
+        return dict(levels[0])
+    lacks = np.array([fidelity.lack(level) for level in levels])
+    allowed = _spent(data, fidelity) + shares <= _MOST_SPENT
+    allowed &= ~_known(data, x, lacks)
+    allowed[-1] = True
+    if not allowed[:-1].any() or not models.ready:
+        return fidelity.highest
+    rng = np.random.default_rng([seed, 8, len(data)])
+    foresight = models.foresight(x, lacks)
+    normals = rng.standard_normal((_DRAWS, len(foresight)))
+    values = _values(archive, foresight, lacks, normals)
+    gains = np.maximum(values - values[-1:, :1], 0.0).mean(axis=1)
+    gains[-1] = values[-1, 0]
+    if not gains.any():  # nothing is promised anywhere: what is learned counts alone
+        gains = np.mean([each.correlations**2 for each in foresight.values()], axis=0)
+    rates = np.where(allowed, gains / shares, -math.inf)
+    return dict(levels[int(rates.argmax())])
+
+
+def _spent(data: Dataset, fidelity: Fidelity) -> float:
+    """Return the cost since the last evaluation at the highest fidelity, as a share of one there."""
+    highest = np.flatnonzero(data.highest)
+    since = int(highest[-1]) + 1 if len(highest) else 0
+    return math.fsum(fidelity.share(e.setpoint) for e in data.evaluations[since:])
+
+
+def _known(data: Dataset, x: Array, lacks: Array) -> NDArray[np.bool_]:
+    """Return at which fidelities ``(m, f)`` an evaluation at x ``(d,)`` was made already ``(m,)``."""
+    here = (np.abs(data.inputs - x) <= SAME).all(axis=1)
+    return np.array(
+        [(here & (np.abs(data.lacks - each) <= SAME).all(axis=1)).any() for each in lacks]
+    )
+
+
+def _values(
+    archive: Archive, foresight: Mapping[str, Foresight], lacks: Array, normals: Array
+) -> Array:
+    """Return what a candidate promises after evaluations that read what is drawn, by fidelity ``(m, s)``.
+
+    Args:
+        archive: Evaluations and models.
+        foresight: What the models predict of the candidate, by output.
+        lacks: Fidelities ``(m, f)``, the highest one last, for which it is what it promises now.
+        normals: Independent standard normal numbers ``(s, outputs)``.
+    """
+    models, problem = archive.models, archive.problem
+    shape = len(lacks), len(normals)
+    moments = {}
+    for (name, foreseen), drawn in zip(foresight.items(), normals.T, strict=True):
+        learned = np.append(foreseen.correlations[:-1], 0.0)[:, None]
+        mean = foreseen.mean + foreseen.stddev * learned * drawn
+        rest = foreseen.stddev * np.sqrt(np.maximum(1.0 - learned**2, 0.0))
+        moments[name] = mean.ravel(), np.broadcast_to(rest, shape).ravel()
+    values = np.ones(math.prod(shape))
+    for name, _, least, most in models.limited:
+        if name in moments:
+            values *= np.exp(log_probability_between(*moments[name], least, most)[0])
+    known = [moments[name] for name in problem.objective_names if name in moments]
+    is_feasible = not models.constraints or archive.belief.feasible.any()
+    if len(known) == len(problem.objectives) and problem.has_references and is_feasible:
+        mean, stddev = (np.stack(each, axis=1) for each in zip(*known, strict=True))
+        lower = problem.truncation_lower
+        values *= archive.front().expected_improvement(
+            mean, stddev, lower if np.isfinite(lower).any() else None
+        )
+    return values.reshape(shape)
