@@ -6,6 +6,7 @@ Unlike with `mobo.py run`, no process stops the others when one dies, as with no
 
 from __future__ import annotations
 
+import math
 import signal
 import time
 import uuid
@@ -171,9 +172,16 @@ class Client:
         """Return the machine's readbacks, from its answer to a move without a set-point.
 
         Raises:
-            HangError: If the machine does not answer.
+            HangError: If the machine does not answer, or does not know where it is.
         """
         deadline = time.monotonic() + TIMEOUT
+        while not all(map(math.isfinite, (found := self._ask_where(deadline)).values())):
+            if time.monotonic() > deadline:  # a bridge that has just started hears its machine late
+                raise HangError("the machine does not know where it is")
+            self.spin(_POLL)
+        return found
+
+    def _ask_where(self, deadline: float) -> dict[str, float]:
         while True:  # a request right after discovery may be lost
             sent = self._apply.send_goal_async(ApplySetpoint.Goal())
             self.spin_while(lambda s=sent: not s.done(), 2.0)  # type: ignore[misc]
