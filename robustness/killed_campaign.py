@@ -26,6 +26,7 @@ import numpy as np
 import yaml
 
 from mobo_tuner.runs.journal import FILE_NAME
+from robustness.two_hosts import evaluations
 
 _WORKERS = 4
 _TIMEOUT = 120.0  # [s] for the next evaluations
@@ -86,10 +87,7 @@ class KilledCampaign:
 
     def evaluations(self) -> list[dict[str, Any]]:
         """Return the evaluations in the journal so far."""
-        path = self._run / FILE_NAME
-        text = path.read_text() if path.exists() else ""
-        records = [json.loads(x) for x in text.splitlines(keepends=True) if x.endswith("\n")]
-        return [record for record in records if record["type"] == "evaluation"]
+        return evaluations(self._run / FILE_NAME)
 
     def wait(self, count: int) -> None:
         """Wait until there are so many evaluations.
@@ -132,6 +130,8 @@ class KilledCampaign:
         for child in map(int, found.stdout.split()):
             try:
                 number = Path(os.readlink(f"/proc/{child}/cwd"))
+                if number.parent.name != "simulations":  # the watchdog
+                    continue
                 os.kill(child, signal.SIGKILL)
             except OSError:  # it has ended
                 continue

@@ -92,9 +92,10 @@ def start(
 
 
 def evaluations(journal: Path) -> list[dict]:
-    """Return the evaluations in a journal so far."""
+    """Return the evaluations in a journal so far, without what belongs to their lines alone."""
     lines = journal.read_bytes().split(b"\n")[:-1] if journal.exists() else []
-    return [r for r in map(json.loads, lines) if r["type"] == "evaluation"]
+    records = [r for r in map(json.loads, lines) if r["type"] == "evaluation"]
+    return [{k: v for k, v in r.items() if k not in ("line", "sum")} for r in records]
 
 
 def readbacks(bag: Path, since: float, until: float) -> dict[str, list[float]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import subprocess
 import sys
@@ -17,7 +16,7 @@ import yaml
 from mobo_tuner.errors import UserError
 from mobo_tuner.files import load_yaml
 from mobo_tuner.offline.campaign import resume, start
-from mobo_tuner.runs.journal import FILE_NAME, read_journal
+from mobo_tuner.runs.journal import FILE_NAME, Journal, read_journal
 from mobo_tuner.runs.recorded_run import RecordedRun
 from tests.support.paths import ROOT
 
@@ -195,10 +194,10 @@ def test_a_run_that_was_no_campaign_is_not_resumed_as_one(bench: Bench) -> None:
     path = bench.config()
     optimizer, log, _ = start(load_yaml(path), bench.folder / "one", {})
     log.close()
-    journal = bench.folder / "one" / "journal.jsonl"
-    record = json.loads(journal.read_text())
+    [record] = bench.journal("one")
     del record["settings"]["campaign"]
-    journal.write_text(json.dumps(record) + "\n")
+    (bench.folder / "one" / FILE_NAME).unlink()
+    Journal.create(bench.folder / "one", [record]).close()
     with pytest.raises(UserError, match="no campaign"):
         resume(bench.folder / "one", bench.folder / "two", {"evaluations": 3})
     assert optimizer.pending == []
