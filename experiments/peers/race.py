@@ -50,7 +50,7 @@ def race(
     ranges = output_ranges(benchmark)
     sigma = noise * np.array([ranges[name] for name in output_names(benchmark)])
     normals = np.random.default_rng([seed, 77]).standard_normal((evaluations, len(sigma)))
-    truth = _outputs(benchmark, x)
+    truth = outputs(benchmark, x)
     seconds = []
     warnings.simplefilter("ignore")
     with suppress(_TimeIsUpError), _cpu_limit(limit):
@@ -60,8 +60,8 @@ def race(
             suggested = np.clip(suggest(x, truth + sigma * normals[: len(x)]), -1.0, 1.0)
             seconds.append(time.process_time() - begin)
             x = np.vstack([x, suggested])
-            truth = np.vstack([truth, _outputs(benchmark, suggested)])
-    record: Record = {"hypervolumes": rounded(_hypervolumes(benchmark, truth), 6)}
+            truth = np.vstack([truth, outputs(benchmark, suggested)])
+    record: Record = {"hypervolumes": rounded(hypervolumes(benchmark, truth), 6)}
     if seconds:
         record["suggestion"] = rounded([float(np.median(seconds))], 3)[0]
     if len(x) < evaluations:
@@ -69,23 +69,23 @@ def race(
     return record
 
 
-def _outputs(benchmark: Benchmark, x: FloatArray) -> FloatArray:
+def outputs(benchmark: Benchmark, x: FloatArray) -> FloatArray:
     """Return the noiseless objectives and constrained diagnostics `(n, P + C)`."""
     others = benchmark.others or {}
     names = [c.name for c in benchmark.problem.constraints]
     return np.column_stack([benchmark.objectives(x), *(others[name](x) for name in names)])
 
 
-def _hypervolumes(benchmark: Benchmark, outputs: FloatArray) -> FloatArray:
+def hypervolumes(benchmark: Benchmark, values: FloatArray) -> FloatArray:
     """Return the hypervolume of the feasible evaluations so far, after each of them `(n,)`."""
     problem = benchmark.problem
     n_objectives = len(problem.objectives)
     limits = np.array([c.maximum for c in problem.constraints])
-    feasible = np.all(outputs[:, n_objectives:] <= limits, axis=1).tolist()
+    feasible = np.all(values[:, n_objectives:] <= limits, axis=1).tolist()
     boxes = BoxDecomposition(problem.reference_point)
     gains = [
         boxes.add(row[:n_objectives]) if met else 0.0
-        for row, met in zip(outputs, feasible, strict=True)
+        for row, met in zip(values, feasible, strict=True)
     ]
     return np.cumsum(gains) / benchmark.unit
 

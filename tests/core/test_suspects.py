@@ -110,7 +110,7 @@ def test_a_wild_reading_never_counts_not_even_until_the_next_suggestion(n: int) 
     assert optimizer.suspected == [(n, "f")]
     assert 0.999 * before < optimizer.hypervolume < 1.02 * before
     assert n not in {point["index"] for point in optimizer.pareto_front() if not point["predicted"]}
-    assert optimizer.hypervolume_measured > 2.0 * before
+    assert optimizer.hypervolume_measured > 1.5 * before
     # Whether anybody looked at it makes no difference to what is asked next.
     assert optimizer.ask() == same.ask()
 

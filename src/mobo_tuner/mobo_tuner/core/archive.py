@@ -18,6 +18,7 @@ from mobo_tuner.core.prior_mean import Prior
 from mobo_tuner.core.problem import Array, Problem, ProblemError, as_float
 from mobo_tuner.core.settings import OptimizerSettings
 
+_LONGEST_START = 4  # evaluations, as a multiple of the initial design, while most of them fail
 _OFTEN_PACKED = 500  # evaluations up to which the boxes are built again after each training
 
 
@@ -160,6 +161,14 @@ class Archive:
     def _minimised(self, evaluation: Evaluation) -> Array:
         """Return the minimised objectives of a complete evaluation `(P,)`."""
         return np.array([o.sign * evaluation.values[o.name] for o in self.problem.objectives])
+
+    @property
+    def is_short_of_readings(self) -> bool:
+        """Whether so many of the first evaluations failed that the others are fewer than an initial design."""
+        n, failed = len(self.dataset), int(self.dataset.failed.sum())
+        return (
+            n - failed < self.initial_evaluations <= n < _LONGEST_START * self.initial_evaluations
+        )
 
     # ------------------------------------------------------------------ belief
 
@@ -316,9 +325,14 @@ class Archive:
 
 
 def _initial(problem: Problem, prior_means: Prior | None) -> int:
-    """Return the number of points of the initial design, which needs to show less where a model is known."""
+    """Return the number of points of the initial design.
+
+    It needs to show less where a model is known, and more where the reference point is inferred from it.
+    """
     d = len(problem.variables)
-    return 1 + (d + 1) // 3 if prior_means and problem.has_references else 2 * (d + 1)
+    if not problem.has_references:
+        return 2 * (d + 1)
+    return 1 + (d + 1) // 3 if prior_means else d + 2
 
 
 def _no_boxes(problem: Problem) -> BoxDecomposition:

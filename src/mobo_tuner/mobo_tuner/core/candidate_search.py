@@ -88,7 +88,7 @@ class CandidateSearch:
         self._archive.update()
         rng = np.random.default_rng([self._seed, 2, len(self._data)])
         inputs, failed = self._data.inputs, self._data.failed & self._data.highest
-        if not self._models.ready:
+        if not self._models.ready or self._archive.is_short_of_readings:
             return explore(inputs, taken(self._data), rng, domain=self._problem.domain)
         unconfirmed = self._unconfirmed()
         if unconfirmed is not None:

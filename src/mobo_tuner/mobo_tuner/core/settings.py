@@ -37,8 +37,8 @@ class OptimizerSettings(GaussianProcessSettings):
 
     initial_evaluations: int = parameter(
         0,
-        "Points of the initial design; 0 = twice the number of variables plus two, or a third of it with a prior "
-        "mean that is a model.",
+        "Points of the initial design; 0 = the number of variables plus two, less with a prior mean that is a "
+        "model, more if a reference is left out.",
         minimum=0,
         maximum=10_000,
     )
