@@ -125,9 +125,9 @@ def test_only_what_was_measured_at_the_highest_fidelity_is_on_the_front() -> Non
 def test_the_initial_design_is_cheap_and_models_predict_the_highest_fidelity() -> None:
     optimizer = Optimizer(Problem.from_dict(SIMPLE), seed=2)
     run(optimizer, optimizer.initial_evaluations)
-    assert [e.setpoint["s"] for e in optimizer.dataset.evaluations] == [0.0] * 4
+    assert [e.setpoint["s"] for e in optimizer.dataset.evaluations] == [0.0] * 6
     run(optimizer, 14)
-    levels = [e.setpoint["s"] for e in optimizer.dataset.evaluations[4:]]
+    levels = [e.setpoint["s"] for e in optimizer.dataset.evaluations[6:]]
     assert {*levels} == {0.0, 1.0}
     assert all(p["setpoint"]["s"] == 1.0 for p in optimizer.pareto_front())
     assert all(p["setpoint"]["s"] == 1.0 for p in optimizer.predicted_front(5))

@@ -90,11 +90,11 @@ def test_where_what_is_cheap_says_little_a_design_is_made_at_the_highest_fidelit
     optimizer = Optimizer(Problem.from_dict(SIMPLE), seed=1)
     rng = np.random.default_rng(0)
     for i in range(20):
-        setpoint = {"x": rng.random(), "y": rng.random(), "s": float(i % 7 == 0)}
+        setpoint = {"x": rng.random(), "y": rng.random(), "s": float(i % 4 == 0)}
         waves = {n: math.sin(40.0 * setpoint["x"] + k) for k, n in enumerate("fg")}
-        optimizer.tell(setpoint, waves if i % 7 else simulate(setpoint))
+        optimizer.tell(setpoint, waves if i % 4 else simulate(setpoint))
     design = Optimizer(Problem.from_dict(SIMPLE), seed=1)
-    run(design, 3)
+    run(design, 5)
     assert optimizer.ask() == {**design.ask(), "s": 1.0}
 
 

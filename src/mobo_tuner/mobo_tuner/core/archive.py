@@ -327,10 +327,11 @@ class Archive:
 def _initial(problem: Problem, prior_means: Prior | None) -> int:
     """Return the number of points of the initial design.
 
-    It needs to show less where a model is known, and more where the reference point is inferred from it.
+    It needs to show less where a model is known, and more where the reference point is inferred from it or
+    where it is done at the lowest cost, and shows how far fidelities agree.
     """
     d = len(problem.variables)
-    if not problem.has_references:
+    if not problem.has_references or problem.fidelity:
         return 2 * (d + 1)
     return 1 + (d + 1) // 3 if prior_means else d + 2
 

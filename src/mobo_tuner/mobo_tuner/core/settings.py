@@ -38,7 +38,7 @@ class OptimizerSettings(GaussianProcessSettings):
     initial_evaluations: int = parameter(
         0,
         "Points of the initial design; 0 = the number of variables plus two, less with a prior mean that is a "
-        "model, more if a reference is left out.",
+        "model, more if a reference is left out or with several fidelities.",
         minimum=0,
         maximum=10_000,
     )
