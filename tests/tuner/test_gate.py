@@ -90,7 +90,8 @@ class Trace:
         variables = [msg.Variable(name=n, min=low, max=high) for n, (low, high) in LIMITS.items()]
         return DescribeMachine.Response(name="trace", variables=variables)
 
-    async def where(self, *_: Future) -> dict[str, float]:
+    async def where(self, *_: Future, patience: float = 0.0) -> dict[str, float]:
+        del patience
         return self.sent[-1]
 
     async def evaluate(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
 
@@ -15,7 +16,12 @@ from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint
 from mobo_tuner.machine.backend import RAMPING, Failure, MachineBackend, Measurement, Operation
 from mobo_tuner.machine.server import MachineServer
 from mobo_tuner.ros.waiting import first_of
-from mobo_tuner.tuner.machine_client import CANCEL_TIMEOUT, Answer, MachineClient
+from mobo_tuner.tuner.machine_client import (
+    CANCEL_TIMEOUT,
+    Answer,
+    MachineClient,
+    MachineLostError,
+)
 
 RESULT = EvaluateSetpoint.Result
 TIME_TO_STOP = 2.0 * CANCEL_TIMEOUT
@@ -150,3 +156,24 @@ def test_nothing_is_asked_for_once_interrupted(
     answer = run(client.apply(move(0.5), lambda _: None, interrupt))
     assert answer.error_code == RESULT.CANCELED
     assert run(client.where()) == {"x": 0.0}
+
+
+def test_a_machine_that_has_just_started_is_asked_again_where_it_is(
+    machine: SluggishMachine, client: MachineClient, node: Node, run: Callable[..., Any]
+) -> None:
+    machine.x = math.nan
+    with pytest.raises(MachineLostError, match="where it is"):
+        run(client.where())
+    asked: list[None] = []
+    readbacks = machine.readbacks
+
+    def third_time() -> list[msg.NamedValue]:
+        asked.append(None)
+        machine.x = 0.25 if len(asked) > 2 else math.nan
+        return readbacks()
+
+    machine.readbacks = third_time  # type: ignore[method-assign]
+    assert run(client.where(patience=20.0)) == {"x": 0.25}
+    interrupt: Future = Future(executor=node.executor)
+    interrupt.set_result(None)
+    assert run(client.where(interrupt, patience=20.0)) is None

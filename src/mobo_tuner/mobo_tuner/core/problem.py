@@ -29,7 +29,6 @@ from mobo_tuner.core.problem_definition import (
     Quantities,
     definition_of,
     read_definition,
-    share_of,
 )
 from mobo_tuner.core.quantities import Constraint, Context, Limit, Objective, Observable, Variable
 from mobo_tuner.core.values import (
@@ -41,6 +40,7 @@ from mobo_tuner.core.values import (
     describe,
     listed,
 )
+from mobo_tuner.core.variable_definition import share_of
 from mobo_tuner.errors import FileError
 from mobo_tuner.files import load_yaml
 from mobo_tuner.names import topic_token

@@ -122,3 +122,34 @@ def describe(value: object) -> str:
 def listed(names: Iterable[str]) -> str:
     """Return names separated by commas, for an error."""
     return ", ".join(names)
+
+
+def as_numbers(where: str, values: object) -> tuple[float, ...]:
+    """Return a list of numbers, each as `as_number` returns it.
+
+    Args:
+        where: Name of the list, for the error.
+        values: List.
+
+    Raises:
+        ProblemError: If it is no list, or a value is not a number of the allowed size.
+    """
+    if isinstance(values, str) or not isinstance(values, Sequence):
+        raise ProblemError(f"{where} must be a list of numbers, not {describe(values)}")
+    return tuple(as_number(where, value) for value in values)
+
+
+def required(where: str, entry: Mapping[str, object], key: str) -> object:
+    """Return a value of a mapping that must be there.
+
+    Args:
+        where: Name of the mapping, for the error.
+        entry: Mapping.
+        key: Name of the value.
+
+    Raises:
+        ProblemError: If it is missing or empty.
+    """
+    if entry.get(key) is None:
+        raise ProblemError(f"{where}.{key} is missing")
+    return entry[key]

@@ -76,7 +76,7 @@ class Machine(Protocol):
     ) -> DescribeMachine.Response | None:
         """Wait for the machine and ask what it can do."""
 
-    async def where(self, *interrupts: Future) -> dict[str, float] | None:
+    async def where(self, *interrupts: Future, patience: float = 0.0) -> dict[str, float] | None:
         """Return where the machine is."""
 
     async def evaluate(
@@ -180,9 +180,9 @@ class Gate:
             self._limits = tuple(machine.variables)
         return machine
 
-    async def where(self, *interrupts: Future) -> dict[str, float] | None:
+    async def where(self, *interrupts: Future, patience: float = 0.0) -> dict[str, float] | None:
         """Return where the machine is; nothing moves. See `MachineClient.where`."""
-        return await self._machine.where(*interrupts)
+        return await self._machine.where(*interrupts, patience=patience)
 
     async def evaluate(
         self,

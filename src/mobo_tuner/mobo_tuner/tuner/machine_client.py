@@ -22,6 +22,7 @@ from mobo_tuner.ros.waiting import first_of, until
 
 CANCEL_TIMEOUT = 0.6  # [s] for the machine to confirm that it stopped
 LET_GO_TIMEOUT = 2.0  # [s] for what was stopped to end, before the machine is asked for more
+_ASK_AGAIN = 0.2  # [s] for a machine to know where it is, before it is asked again
 _RESULT = EvaluateSetpoint.Result
 
 FeedbackCallback = Callable[[Any], None]
@@ -156,21 +157,29 @@ class MachineClient:
             values_of(result.readbacks),
         )
 
-    async def where(self, *interrupts: Future) -> dict[str, float] | None:
+    async def where(self, *interrupts: Future, patience: float = 0.0) -> dict[str, float] | None:
         """Return the machine's readbacks; nothing moves. Returns None if interrupted.
 
         It is asked to go nowhere at all; where it refuses that, it says where it is all the same.
 
+        Args:
+            interrupts: Futures; when one of them is done, nothing more is asked.
+            patience: Time for which a machine that has no readback yet is asked again [s].
+
         Raises:
-            MachineLostError: If it does not answer.
+            MachineLostError: If it does not answer, or has no readback.
         """
-        answer = await self.apply(ApplySetpoint.Goal(), lambda _: None, *interrupts)
-        if answer.error_code == _RESULT.CANCELED:
-            return None
-        where = {n: v for n, v in answer.readbacks.items() if math.isfinite(v)}
-        if not where:
-            raise MachineLostError("the machine does not say where it is")
-        return where
+        deadline = time.monotonic() + patience
+        while True:
+            answer = await self.apply(ApplySetpoint.Goal(), lambda _: None, *interrupts)
+            if answer.error_code == _RESULT.CANCELED:
+                return None
+            where = {n: v for n, v in answer.readbacks.items() if math.isfinite(v)}
+            if where:
+                return where
+            if time.monotonic() >= deadline:
+                raise MachineLostError("the machine does not say where it is")
+            await first_of(self._node, *interrupts, timeout=_ASK_AGAIN)
 
     async def send_off(self, goal: ApplySetpoint.Goal, timeout: float) -> bool:
         """Have the machine go to a set-point by itself: only its acceptance is waited for."""

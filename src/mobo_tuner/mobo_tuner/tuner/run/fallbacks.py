@@ -48,8 +48,10 @@ class Fallbacks:
         assert run.machine is not None
         where: Mapping[str, float] | None = {}
         unknown = ""
+        # A machine that has just started may know only after a while.
+        patience = self._context.parameters.discovery_timeout if wanting else 0.0
         try:
-            where = await self._context.gate.where(run.interrupt)
+            where = await self._context.gate.where(run.interrupt, patience=patience)
         except MachineLostError as error:
             unknown = f"the state before the run is unknown: {error}"
         if where is None:

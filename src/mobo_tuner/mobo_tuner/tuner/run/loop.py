@@ -238,7 +238,8 @@ class RunLoop:
             RunError: If the machine does not say where it is, or is outside the bounds.
         """
         try:
-            present = await self._context.gate.where(run.interrupt)
+            patience = self._context.parameters.discovery_timeout
+            present = await self._context.gate.where(run.interrupt, patience=patience)
         except MachineLostError as error:
             raise RunError(_CODES.MACHINE_UNAVAILABLE, str(error)) from None
         if present is None:

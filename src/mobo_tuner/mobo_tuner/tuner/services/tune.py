@@ -119,7 +119,7 @@ class TuneServer:
                 patience = context.parameters.discovery_timeout
                 machine = await context.gate.describe(patience, context.stopping)
                 if machine is not None:
-                    present = await context.gate.where(context.stopping)
+                    present = await context.gate.where(context.stopping, patience=patience)
         except MachineLostError as error:
             raise RunError(
                 Tune.Result.MACHINE_UNAVAILABLE, f"the bounds of {names} are not known: {error}"
