@@ -14,7 +14,7 @@ from launcher.errors import UsageError
 from launcher.logbook import ON_REQUEST, ON_RUN_END, VARIABLES
 from launcher.machine import split_command
 from launcher.page import FIRST_PORT, LOCAL, MAX_PORT
-from launcher.ros_domain import LAST as LAST_DOMAIN
+from launcher.ros_domain import HIGHEST as HIGHEST_DOMAIN
 from launcher.run_folder import RUN_ID, RUN_ID_RULE
 
 MAX_EVALUATIONS = 100_000
@@ -283,7 +283,7 @@ def add_domain_id(verb: argparse.ArgumentParser, default: str) -> None:
     verb.add_argument(
         "--domain-id",
         metavar="N",
-        type=_whole(0, LAST_DOMAIN),
+        type=_whole(0, HIGHEST_DOMAIN),
         help=f"ROS domain (default: {default})",
     )
 

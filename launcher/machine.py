@@ -12,7 +12,7 @@ from typing import Any
 
 from launcher.errors import UsageError
 from launcher.programs import NodeProgram
-from launcher.ros_domain import LAST as LAST_DOMAIN
+from launcher.ros_domain import HIGHEST as HIGHEST_DOMAIN
 
 
 @dataclass(frozen=True)
@@ -163,8 +163,8 @@ def shared_domain(asked: int | None, earlier: int | None) -> tuple[int, str]:
     text = os.environ.get("ROS_DOMAIN_ID", "")
     if not text:
         return 0, "ROS_DOMAIN_ID is not set"
-    if not (text.isdecimal() and len(text) < 4 and int(text) <= LAST_DOMAIN):
+    if not (text.isdecimal() and len(text) < 4 and int(text) <= HIGHEST_DOMAIN):
         raise UsageError(
-            f"ROS_DOMAIN_ID is '{text}'; an integer from 0 to {LAST_DOMAIN} is allowed"
+            f"ROS_DOMAIN_ID is '{text}'; an integer from 0 to {HIGHEST_DOMAIN} is allowed"
         )
     return int(text), "ROS_DOMAIN_ID"

@@ -1,9 +1,9 @@
 """A separate ROS domain, so that concurrent runs do not receive each other's messages.
 
-Domains 1 to 101 are used: DDS derives its UDP ports from the domain, and those of higher domains are in
-the range of ephemeral ports. A domain is reserved by a lock on a file in the temporary folder, which
-the kernel releases when its holder ends. Nodes that were started in other ways have no lock, so their
-ports are checked too.
+Domains 1 to 101 are chosen: DDS derives its UDP ports from the domain, and those of higher domains are in
+the range of ephemeral ports. A laboratory may have its nodes in any up to 232. A domain is reserved by a lock
+on a file in the temporary folder, which the kernel releases when its holder ends. Nodes that were started in
+other ways have no lock, so their ports are checked too.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from launcher.errors import DomainError
 
 PROFILE = Path(__file__).parent / "discovery.xml"
 FIRST, LAST = 1, 101
+HIGHEST = 232
+"""Highest domain for whose ports there are numbers."""
 _PARTICIPANTS = 10  # number of other programs whose ports are checked in a domain
 
 

@@ -53,15 +53,15 @@ def test_what_is_not_a_command_is_refused(command: str) -> None:
 def test_the_domain_is_that_of_the_option_then_of_the_run_then_of_the_environment(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", "42")
+    monkeypatch.setenv("ROS_DOMAIN_ID", "142")
     assert shared_domain(7, 8) == (7, "--domain-id")
     assert shared_domain(None, 8)[0] == 8
-    assert shared_domain(None, None) == (42, "ROS_DOMAIN_ID")
+    assert shared_domain(None, None) == (142, "ROS_DOMAIN_ID")
     monkeypatch.setenv("ROS_DOMAIN_ID", "")
     assert shared_domain(None, None) == (0, "ROS_DOMAIN_ID is not set")
 
 
-@pytest.mark.parametrize("value", ["102", "-1", "lab", "1e1", "9" * 5000])
+@pytest.mark.parametrize("value", ["233", "-1", "lab", "1e1", "9" * 5000])
 def test_a_domain_that_is_not_allowed_is_refused(
     monkeypatch: pytest.MonkeyPatch, value: str
 ) -> None:

@@ -58,7 +58,7 @@ def mobo(*arguments: str) -> subprocess.CompletedProcess[str]:
         (["run", "--run-id", "../elsewhere"], "../elsewhere"),
         (["run", "--run-id", ".hidden"], ".hidden"),
         (["run", "--run-id", ""], "--run-id"),
-        (["run", "--domain-id", "102"], "--domain-id"),
+        (["run", "--domain-id", "233"], "--domain-id"),
         (["run", "--config", "nowhere.yaml"], "nowhere.yaml"),
         (["run", "--eval", "3"], "--eval"),
         (["walk"], "walk"),
@@ -272,7 +272,7 @@ def test_a_machine_that_is_there_already_is_met_in_its_domain(
         (["--machine", "python 'open"], "", {}, "python 'open"),
         (["--machine", "python -m lab.machine", "--speed", "3"], "", {}, "--speed is 3"),
         (["--speed", "3"], "external", {}, "--speed is 3"),
-        ([], "external", {"ROS_DOMAIN_ID": "102"}, "ROS_DOMAIN_ID is '102'"),
+        ([], "external", {"ROS_DOMAIN_ID": "233"}, "ROS_DOMAIN_ID is '233'"),
         ([], "external", {"ROS_DOMAIN_ID": "lab"}, "ROS_DOMAIN_ID is 'lab'"),
     ],
 )
