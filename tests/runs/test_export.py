@@ -65,7 +65,14 @@ def test_the_table_has_a_row_per_evaluation_and_columns_by_name(folder: Path, re
 def test_moves_have_a_table_of_their_own(tmp_path: Path, form: str) -> None:
     asked = {"stamp": 5.0, "index": 1, "setpoint": {"x1": 2.0}}
     moves = [
-        {"type": "move", **asked, "purpose": "go", "by": "operator", "evaluation": 0},
+        {
+            "type": "move",
+            **asked,
+            "purpose": "go",
+            "by": "operator",
+            "evaluation": 0,
+            "via": {"x1": 3.0},
+        },
         {"type": "state", "stamp": 6.0, "index": 1, "readbacks": {"x1": 1.5}, "error_msg": ODD},
         {"type": "move", **asked, "purpose": "restore", "by": "on_abort", "anyway": True},
     ]
@@ -79,6 +86,7 @@ def test_moves_have_a_table_of_their_own(tmp_path: Path, form: str) -> None:
     assert table["x1"].tolist() == [2.0, 2.0]
     np.testing.assert_equal(table["evaluation"].to_numpy(), [0.0, math.nan])
     np.testing.assert_equal(table["x1.readback"].to_numpy(), [1.5, math.nan])
+    np.testing.assert_equal(table["x1.via"].to_numpy(), [3.0, math.nan])
     assert table["error_msg"].tolist() == [ODD, "its end is unknown"]
 
 

@@ -116,6 +116,10 @@ class GoDialog(Dialog):
             way = f"{place(here, span)} → {place(new, span, variable.unit)}"
             if variable.choice_names:
                 way = f"{set_to(variable, here)} → {set_to(variable, new)}"
+            elif variable.approach:
+                way += (
+                    f", approached from {quantity(variable.approach, variable.unit, 4)} beside it"
+                )
             rows.append((name, way, travel(variable, here, new)))
         self._table.show(rows)
         super().open()

@@ -81,7 +81,7 @@ def columns_of(run: RecordedRun) -> tuple[dict[str, Column], dict[str, str]]:
 
 
 def moves_of(run: RecordedRun) -> tuple[dict[str, Column], dict[str, str]]:
-    """Return the columns of the table of moves: what was asked, by whom, and where it ended."""
+    """Return the columns of the table of moves: what was asked, by whom, which way, and where it ended."""
     moves, problem = run.history.moves, run.problem
     asked, ended = [move.asked for move in moves], [move.ended for move in moves]
     columns: dict[str, Column] = {
@@ -100,15 +100,20 @@ def moves_of(run: RecordedRun) -> tuple[dict[str, Column], dict[str, str]]:
         for v in problem.variables
     }
     columns |= {
+        f"{name}.via": [(a.via or {}).get(name, math.nan) for a in asked]
+        for name in names
+        if any(a.via for a in asked)
+    }
+    columns |= {
         f"{name}.readback": [
             math.nan if e is None else e.readbacks.get(name, math.nan) for e in ended
         ]
         for name in names
     }
     units = {
-        name: problem.units[name.removesuffix(".readback")]
+        name: problem.units[name.removesuffix(".readback").removesuffix(".via")]
         for name in columns
-        if problem.units.get(name.removesuffix(".readback"))
+        if problem.units.get(name.removesuffix(".readback").removesuffix(".via"))
     }
     return columns, {"stamp": "s", "ended": "s", **units}
 
