@@ -91,6 +91,7 @@ def test_a_shift_by_hand(start_node: NodeStarter, tmp_path: Path) -> None:
         name = Path(words[0]).name
         options = [
             word.replace("evaluations:=60", "evaluations:=6")
+            .replace("config/", f"{ROOT}/config/")
             .replace(":=runs", f":={tmp_path}/runs")
             .replace(":=bags", f":={tmp_path}/bags")
             for word in words[1:]
