@@ -118,7 +118,7 @@ def test_a_run_with_a_context_is_killed_resumed_and_replayed_bit_for_bit(
     told = killed.evaluations()
     charges = [record["diagnostics"]["charge"][0] for record in told]
     assert len(set(charges)) == len(charges)  # nobody sets it, and it changes
-    budget = 17  # the initial design has 14 evaluations
+    budget = 10  # the initial design has 8 evaluations
     run = start("--evaluations", str(budget), resumed="run", run_id="more")
     status, _, err = run.wait()
     assert (status, err) == (0, "")
