@@ -49,7 +49,7 @@ PYTHON
 echo "oldest libraries: testing"
 cd "$root"
 # The libraries themselves use what later versions of others call deprecated.
-PYTHONPATH=src/mobo_tuner:src/awa_sim_node OMP_NUM_THREADS=1 "$python" -m pytest -q -p no:cacheprovider \
+PYTHONPATH="$root/src/mobo_tuner:$root/src/awa_sim_node" OMP_NUM_THREADS=1 "$python" -m pytest -q -p no:cacheprovider \
   --disable-warnings -o filterwarnings=default \
   tests/core/test_acquisition.py tests/core/test_box_sums.py tests/core/test_derived.py tests/core/test_kernels.py \
   tests/core/test_optimizer_inputs.py tests/core/test_presets.py \
