@@ -154,7 +154,7 @@ def measure(options: argparse.Namespace, folder: Path) -> None:
             while "page: " not in process.stdout:
                 if time.monotonic() > deadline or not process.running:
                     raise SystemExit(f"the page did not start: {process.stderr}")
-                time.sleep(0.1)
+                time.sleep(0.1)  # between two looks, until the deadline
             address = process.stdout.partition("page: ")[2].split()[0]
             player.begin()
             with tab(address, f"{folder}/browser") as (page, session):

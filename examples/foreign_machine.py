@@ -132,7 +132,7 @@ class ForeignMachine(Node):
         self, request: GetParameters.Request, response: GetParameters.Response
     ) -> GetParameters.Response:
         """Tell what the last picture shows."""
-        time.sleep(3.0 if self.fault == "slow" else EXPOSURE)
+        time.sleep(3.0 if self.fault == "slow" else EXPOSURE)  # the camera exposes
         response.values = [
             ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=self.picture[name])
             for name in request.names

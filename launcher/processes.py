@@ -121,7 +121,7 @@ class Processes:
             if time.monotonic() >= deadline:
                 return False
             self.check_signal()
-            time.sleep(_POLL_PERIOD)
+            time.sleep(_POLL_PERIOD)  # between two looks, until the deadline
         return True
 
     def check_signal(self) -> None:

@@ -49,7 +49,7 @@ def end_marked_processes(mark: str, patience: float = PATIENCE) -> None:
             if killing or process not in asked:
                 _send(process, signal.SIGKILL if killing else signal.SIGTERM)
                 asked.add(process)
-        time.sleep(_POLL_PERIOD)
+        time.sleep(_POLL_PERIOD)  # between two looks, until the deadline
 
 
 def _send(process: int, number: signal.Signals) -> None:

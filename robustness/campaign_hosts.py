@@ -13,7 +13,6 @@ import argparse
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from typing import Any
 import yaml
 
 from mobo_tuner.offline.hosts import FILE_NAME
-from robustness.two_hosts import evaluations, ip
+from robustness.two_hosts import evaluations, ip, try_out
 
 TIMEOUT = 240.0  # [s] for the campaign
 MANAGER, HOSTS = "mobo-m", ("mobo-1", "mobo-2")
@@ -29,7 +28,7 @@ ADDRESS = "10.78.1.1"  # of the manager
 PROGRAM = """
 import json, math, os, random, sys, time
 x = json.load(sys.stdin)
-time.sleep(random.uniform(0.1, 0.6))
+time.sleep(random.uniform(0.1, 0.6))  # the duration of a simulation
 with open("host", "w") as file:
     file.write(os.environ["MOBO_HOST"])
 print(json.dumps({"f1": math.hypot(x["x1"] - 1, x["x2"] - 1), "f2": math.hypot(x["x1"] + 1, x["x2"] + 1)}))
@@ -142,18 +141,9 @@ def main() -> int:
     parser.add_argument("--evaluations", type=int, default=60, help="number of evaluations")
     parser.add_argument("--cut", type=float, default=5.0, help="time for which a link is cut [s]")
     options = parser.parse_args()
-    remove_hosts()
-    try:
-        make_hosts()
-    except (OSError, subprocess.CalledProcessError) as error:
-        remove_hosts()
-        print(f"network namespaces cannot be created: {getattr(error, 'stderr', error)}")
-        return 77
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            return 0 if carry_out(Path(folder), options.evaluations, options.cut) else 1
-    finally:
-        remove_hosts()
+    return try_out(
+        make_hosts, remove_hosts, lambda folder: carry_out(folder, options.evaluations, options.cut)
+    )
 
 
 if __name__ == "__main__":

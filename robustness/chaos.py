@@ -286,7 +286,7 @@ class Chaos:
         outcome.moment = time.monotonic() - started
         deadline = time.monotonic() + END_LIMIT
         while (left := _mentioning(str(place))) and time.monotonic() < deadline:
-            time.sleep(0.1)
+            time.sleep(0.1)  # between two looks, until the deadline
         if left:
             outcome.hangs.append(f"{len(left)} processes did not end: {left[0]}")
         try:

@@ -36,7 +36,7 @@ _MANAGERS = 0.5  # share of the kills
 _PROGRAM = """
 import json, math, random, sys, time
 x = json.load(sys.stdin)
-time.sleep(random.uniform(0.05, 0.6))
+time.sleep(random.uniform(0.05, 0.6))  # the duration of a simulation
 outputs = {"f1": math.hypot(x["x1"] - 1, x["x2"] - 1), "f2": math.hypot(x["x1"] + 1, x["x2"] + 1)}
 with open("ended", "w") as file:
     json.dump({"point": x, "time": time.time()}, file)

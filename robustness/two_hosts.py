@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -146,7 +147,7 @@ def carry_out(folder: Path, budget: int, cut: float) -> bool:
     try:
         deadline = time.monotonic() + TIMEOUT
         while len(evaluations(journal)) < budget // 3 and time.monotonic() < deadline:
-            time.sleep(0.1)
+            time.sleep(0.1)  # between two looks, until the deadline
         before = evaluations(journal)
         ip("-n", here, "link", "set", "veth0", "down")
         since = time.time() + CLIENT_TIMEOUT + REACTION
@@ -189,18 +190,33 @@ def main() -> int:
     parser.add_argument("--evaluations", type=int, default=12, help="number of evaluations")
     parser.add_argument("--cut", type=float, default=6.0, help="time for which the link is cut [s]")
     options = parser.parse_args()
-    remove_hosts()
+    return try_out(
+        make_hosts, remove_hosts, lambda folder: carry_out(folder, options.evaluations, options.cut)
+    )
+
+
+def try_out(
+    make: Callable[[], None], remove: Callable[[], None], trial: Callable[[Path], bool]
+) -> int:
+    """Carry out a trial between hosts; return the exit status, 77 if hosts cannot be created here.
+
+    Args:
+        make: Creates the hosts.
+        remove: Removes them as far as they are there.
+        trial: Returns whether all was right, given a folder for its files.
+    """
+    remove()
     try:
-        make_hosts()
+        make()
     except (OSError, subprocess.CalledProcessError) as error:
-        remove_hosts()
+        remove()
         print(f"network namespaces cannot be created: {getattr(error, 'stderr', error)}")
         return 77
     try:
         with tempfile.TemporaryDirectory() as folder:
-            return 0 if carry_out(Path(folder), options.evaluations, options.cut) else 1
+            return 0 if trial(Path(folder)) else 1
     finally:
-        remove_hosts()
+        remove()
 
 
 if __name__ == "__main__":

@@ -219,7 +219,7 @@ def test_a_last_line_that_was_whole_is_not_left_out(
     assert journal_module.main([str(tmp_path)]) == 1
     [sentence] = capsys.readouterr().err.splitlines()
     assert sentence.startswith("line 2 of the journal")
-    (tmp_path / COUNT_FILE_NAME).write_text("1\n")  # as after a kill amid the line
+    (tmp_path / COUNT_FILE_NAME).write_text("1\n")  # as if it was killed while it wrote the line
     assert len(read_journal(tmp_path)) == 1
     append_record(tmp_path, {"type": "end"})
     assert [r["type"] for r in read_journal(tmp_path)] == ["start", "end"]

@@ -28,9 +28,7 @@ _MOST_TRAINED = 250  # of these, for the hyperparameters, where there are more e
 _TRAINING_SHARE = 0.4  # of the time budget
 _NEWS = 1e-3  # of the readings' spread
 _NEWS_OF_NOISE = 0.4  # of the noise: about that of six readings' average
-_CLEARLY_BETTER = (
-    3.0  # log density of what was measured at the highest fidelity, at most 1 for each
-)
+_CLEARLY_BETTER = 3.0  # in the log density of the highest fidelity's readings, at most 1 for each
 _LEAST_HIGHEST = 4  # evaluations that say whether lower fidelities are of any use
 _FEW = 60  # evaluations up to which every training weighs the evidence
 
