@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +13,27 @@ from mobo_tuner.core.archive import Archive
 from mobo_tuner.core.constraints import log_probability_between
 from mobo_tuner.core.dataset import Dataset
 from mobo_tuner.core.fidelity import Fidelity
-from mobo_tuner.core.models import Foresight
+from mobo_tuner.core.models import Models
 from mobo_tuner.core.problem import Array
 from mobo_tuner.core.resolution import SAME
 
 _DRAWS = 64  # of what a cheaper evaluation may read
 _LEAST_AGREEMENT = 0.5  # share of the variance, below which what is cheap replaces no design
 _MOST_SPENT = 1.0  # on cheaper evaluations since the last one at the highest fidelity, in its cost
+
+
+class _Foresight(NamedTuple):
+    """Prediction of one output at the highest fidelity, and what m evaluations may teach of it.
+
+    Attributes:
+        mean: Mean, as it is minimised.
+        stddev: Standard deviation.
+        correlations: Correlation of the output with the reading of each evaluation ``(m,)``.
+    """
+
+    mean: float
+    stddev: float
+    correlations: Array
 
 
 def needs_design(archive: Archive, fidelity: Fidelity) -> bool:
@@ -31,7 +46,7 @@ def needs_design(archive: Archive, fidelity: Fidelity) -> bool:
     if highest >= archive.initial_evaluations or not archive.models.ready:
         return False
     lacks = np.array([fidelity.lack(level) for level in fidelity.levels[:-1]])
-    return archive.models.agreement(lacks) < _LEAST_AGREEMENT
+    return _agreement(archive, lacks) < _LEAST_AGREEMENT
 
 
 def choose_fidelity(archive: Archive, fidelity: Fidelity, x: Array, seed: int) -> dict[str, float]:
@@ -61,7 +76,7 @@ def choose_fidelity(archive: Archive, fidelity: Fidelity, x: Array, seed: int) -
     if not allowed[:-1].any() or not models.ready:
         return fidelity.highest
     rng = np.random.default_rng([seed, 8, len(data)])
-    foresight = models.foresight(x, lacks)
+    foresight = _foresee(models, x, lacks)
     normals = rng.standard_normal((_DRAWS, len(foresight)))
     values = _values(archive, foresight, lacks, normals)
     gains = np.maximum(values - values[-1:, :1], 0.0).mean(axis=1)
@@ -70,6 +85,43 @@ def choose_fidelity(archive: Archive, fidelity: Fidelity, x: Array, seed: int) -
         gains = np.mean([each.correlations**2 for each in foresight.values()], axis=0)
     rates = np.where(allowed, gains / shares, -math.inf)
     return dict(levels[int(rates.argmax())])
+
+
+def _agreement(archive: Archive, lacks: Array) -> float:
+    """Return how well the best one of lower fidelities tells of the highest: the share of the variance, 0 to 1.
+
+    It is that of a reading at one fidelity that is explained by a reading at the same place at the other, by the
+    models' kernels, as a mean of the outputs.
+
+    Args:
+        archive: Evaluations and models.
+        lacks: Distances of the fidelities from the highest ``(m, f)``.
+    """
+    models, place = archive.models, np.zeros((1, len(archive.problem.variables)))
+    inputs = models.inputs_at(place, np.vstack([0.0 * lacks[:1], lacks]))
+    shares = [
+        output.process.prior_correlations(inputs) ** 2 * (not output.is_apart)
+        for output in models.learned
+    ]
+    return float(np.mean(shares, axis=0).max()) if shares else 1.0
+
+
+def _foresee(models: Models, x: Array, lacks: Array) -> dict[str, _Foresight]:
+    """Return what evaluations at one point may teach, for every output that was measured at least once.
+
+    Args:
+        models: Models of the outputs.
+        x: Point ``(d,)``.
+        lacks: Distances of their fidelities from the highest ``(m, f)``.
+    """
+    inputs, foreseen = models.inputs_at(x[None], lacks), {}
+    for output in models.learned:
+        mean, stddev = output.process.predict(x[None])
+        correlations = output.process.correlations(x, inputs)
+        if output.is_apart:
+            correlations[lacks.any(axis=1)] = 0.0
+        foreseen[output.name] = _Foresight(float(mean[0]), float(stddev[0]), correlations)
+    return foreseen
 
 
 def _spent(data: Dataset, fidelity: Fidelity) -> float:
@@ -88,7 +140,7 @@ def _known(data: Dataset, x: Array, lacks: Array) -> NDArray[np.bool_]:
 
 
 def _values(
-    archive: Archive, foresight: Mapping[str, Foresight], lacks: Array, normals: Array
+    archive: Archive, foresight: Mapping[str, _Foresight], lacks: Array, normals: Array
 ) -> Array:
     """Return what a candidate promises after evaluations that read what is drawn, by fidelity ``(m, s)``.
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,36 +15,19 @@ from numpy.typing import NDArray
 from mobo_tuner.core.context import ContextInputs
 from mobo_tuner.core.dataset import BoolArray, Dataset
 from mobo_tuner.core.gaussian_process import GaussianProcess
+from mobo_tuner.core.output_model import OutputModel
 from mobo_tuner.core.prior_mean import Prior, PriorMeans
 from mobo_tuner.core.problem import Array, Problem, ProblemError
 from mobo_tuner.core.selection import Selection
 from mobo_tuner.core.settings import OptimizerSettings
 from mobo_tuner.core.steadiness import Steadiness
-from mobo_tuner.core.suspects import find_suspects, is_doubtful, is_surprising
 from mobo_tuner.core.validity import ValidityModel
 
 _FEW_NEW = 10  # evaluations since the last update that may surprise
-_MOST_TRAINED = 250  # of these, for the hyperparameters, where there are more evaluations than rows
 _TRAINING_SHARE = 0.4  # of the time budget
 _NEWS = 1e-3  # of the readings' spread
 _NEWS_OF_NOISE = 0.4  # of the noise: about that of six readings' average
-_CLEARLY_BETTER = 3.0  # in the log density of the highest fidelity's readings, at most 1 for each
-_LEAST_HIGHEST = 4  # evaluations that say whether lower fidelities are of any use
 _FEW = 60  # evaluations up to which every training weighs the evidence
-
-
-class Foresight(NamedTuple):
-    """Prediction of one output at the highest fidelity, and what m evaluations may teach of it.
-
-    Attributes:
-        mean: Mean, as it is minimised.
-        stddev: Standard deviation.
-        correlations: Correlation of the output with the reading of each evaluation ``(m,)``.
-    """
-
-    mean: float
-    stddev: float
-    correlations: Array
 
 
 class Models:
@@ -79,20 +62,21 @@ class Models:
         )
         self._selection = Selection(self._seconds)
         self._seed = seed
-        self._signs = {o.name: o.sign for o in problem.objectives}
         self._means = PriorMeans(problem, {} if prior_means is None else prior_means)
         self._settings = settings
         self._steadiness = Steadiness(settings.noise, settings.drift)
         self._context = ContextInputs.of(Dataset(problem), self.drifts, settings.drift_time)
-        self._processes = self._untrained()
+        signs = {o.name: o.sign for o in problem.objectives}
+        self._outputs = {
+            name: OutputModel(name, signs.get(name, 1.0), process, self._selection)
+            for name, process in self._untrained().items()
+        }
         self.validity = ValidityModel(self._one_hot, self._context.fidelities)
         self._judged = 0  # number of evaluations that the model of validity holds
         self._trained = 0  # number of evaluations with an output at the last training
         self._trained_rows = 0  # number of all evaluations at the last training
         self._held = 0  # number of all evaluations that the models hold
         self._outdated = False  # whether some of these were withdrawn or taken back
-        self._suspects: dict[str, NDArray[np.intp]] = {}  # evaluations, by output, if there are any
-        self._apart: set[str] = set()  # outputs that are not learned from lower fidelities
 
     def _untrained(self) -> dict[str, GaussianProcess]:
         """Return the process of every output, without observations."""
@@ -128,7 +112,7 @@ class Models:
     @property
     def ready(self) -> bool:
         """Whether there is any output to learn from."""
-        return any(process.n for process in self._processes.values())
+        return bool(self.learned)
 
     @property
     def trained_rows(self) -> int:
@@ -143,7 +127,7 @@ class Models:
     @property
     def objectives(self) -> list[GaussianProcess]:
         """Models of the minimised objectives, in the problem's order."""
-        return [self._processes[name] for name in self._problem.objective_names]
+        return [self._outputs[name].process for name in self._problem.objective_names]
 
     def expects_news(self, x: Array, nearest: Array) -> bool:
         """Return whether some output may read differently at x than at a measured point.
@@ -155,9 +139,8 @@ class Models:
             x: Point ``(d,)``.
             nearest: Measured point ``(d,)`` near it.
         """
-        for process in self._processes.values():
-            if not process.n:
-                continue
+        for output in self.learned:
+            process = output.process
             mean, stddev = process.predict(np.vstack([x, nearest]))
             least = _NEWS * process.spread
             if abs(mean[0] - mean[1]) > least:
@@ -169,7 +152,12 @@ class Models:
     @property
     def by_output(self) -> dict[str, GaussianProcess]:
         """Models of every objective, as it is minimised, and of every constrained diagnostic, by name."""
-        return dict(self._processes)
+        return {name: output.process for name, output in self._outputs.items()}
+
+    @property
+    def learned(self) -> list[OutputModel]:
+        """Models of the outputs that were measured at least once."""
+        return [output for output in self._outputs.values() if output.process.n]
 
     @property
     def limited(self) -> list[tuple[str, GaussianProcess, float, float]]:
@@ -177,9 +165,10 @@ class Models:
         limits = []
         for constraint in self._problem.constraints:
             ends = (constraint.minimum, constraint.maximum)
-            if self._signs.get(constraint.name, 1.0) < 0.0:
+            output = self._outputs[constraint.name]
+            if output.sign < 0.0:
                 ends = (-ends[1], -ends[0])
-            limits.append((constraint.name, self._processes[constraint.name], *ends))
+            limits.append((output.name, output.process, *ends))
         return limits
 
     @property
@@ -199,7 +188,7 @@ class Models:
 
     def trusts_readings(self, data: Dataset) -> bool:
         """Return whether a reading counts as it is: the machine neither varies nor is noisy."""
-        return not (self.varies or self._steadiness.is_noisy(data, self._processes))
+        return not (self.varies or self._steadiness.is_noisy(data, self._outputs))
 
     def extended(self, data: Dataset, at_once: bool = False) -> Models:
         """Return models that know all of `data`, with the hyperparameters of the last training.
@@ -215,8 +204,7 @@ class Models:
             return self
         other = copy(self)
         other.validity = ValidityModel(self._one_hot, self._context.fidelities)
-        other._processes = {name: p.copy() for name, p in self._processes.items()}
-        other._suspects, other._apart = dict(self._suspects), set(self._apart)
+        other._outputs = {name: output.copy() for name, output in self._outputs.items()}
         if self._trained and not self.is_surprised(data):
             other._learn(data, train=False, restarts=0, at_once=at_once)
         else:
@@ -231,51 +219,16 @@ class Models:
             x: Points ``(m, d)``.
             lacks: Distances of their fidelities from the highest ``(m, f)``.
         """
+        inputs = self.inputs_at(x, lacks)
         return {
-            name: self._signs.get(name, 1.0) * process.predict(self._at(process, x, lacks))[0]
-            for name, process in self._processes.items()
-            if process.n
+            output.name: output.sign * output.process.predict(inputs)[0] for output in self.learned
         }
 
-    def foresight(self, x: Array, lacks: Array) -> dict[str, Foresight]:
-        """Return what evaluations at one point may teach, for every output that was measured at least once.
-
-        Args:
-            x: Point ``(d,)``.
-            lacks: Distances of their fidelities from the highest ``(m, f)``.
-        """
-        foreseen = {}
-        for name, process in self._processes.items():
-            if process.n:
-                mean, stddev = process.predict(x[None])
-                correlations = process.correlations(x, self._at(process, x[None], lacks))
-                if name in self._apart:
-                    correlations[lacks.any(axis=1)] = 0.0
-                foreseen[name] = Foresight(float(mean[0]), float(stddev[0]), correlations)
-        return foreseen
-
-    def agreement(self, lacks: Array) -> float:
-        """Return how well the best one of lower fidelities tells of the highest: the share of the variance, 0 to 1.
-
-        It is that of a reading at one fidelity that is explained by a reading at the same place at the other, by
-        the models' kernels, as a mean of the outputs.
-
-        Args:
-            lacks: Distances of the fidelities from the highest ``(m, f)``.
-        """
-        shares = []
-        for name, process in self._processes.items():
-            if process.n:
-                place = np.zeros((1, len(self._problem.variables)))
-                inputs = self._at(process, place, np.vstack([0.0 * lacks[:1], lacks]))
-                shares.append(process.prior_correlations(inputs) ** 2 * (name not in self._apart))
-        return float(np.mean(shares, axis=0).max()) if shares else 1.0
-
-    def _at(self, process: GaussianProcess, x: Array, lacks: Array) -> Array:
-        """Return the inputs of a process at points x ``(m, d)`` of some fidelities ``(m, f)``."""
+    def inputs_at(self, x: Array, lacks: Array) -> Array:
+        """Return the inputs of the models at points x ``(m, d)`` of some fidelities ``(m, f)``, now."""
         if not self._context.fidelities:
             return x
-        now = [self._context.at(process.now, lack) for lack in lacks]
+        now = [self._context.at(self.objectives[0].now, lack) for lack in lacks]
         return np.column_stack([np.broadcast_to(x, (len(now), x.shape[1])), now])
 
     def expecting(self, data: Dataset) -> Models:
@@ -340,44 +293,43 @@ class Models:
             self._context = ContextInputs.of(data, drifts, self._settings.drift_time)
             if drifts != former.timed:
                 restarts = None
-                self._processes = self._untrained()
+                for name, process in self._untrained().items():
+                    self._outputs[name].process = process
         count, inputs = self._count(data), self._context.inputs(data)
         trained = train
         begin = time.monotonic()
         noisy = self._steadiness.learns_noise
         look = train and (look or restarts is None or count <= _FEW)
-        for position, (name, process) in enumerate(self._processes.items()):
+        for position, output in enumerate(self._outputs.values()):
             if train and self._context.fidelities:
-                self._judge_fidelities(name, data, noisy, [self._seed, 9, count, position])
-            y, stddev = self._observations(name, data)
-            rows = np.flatnonzero(np.isfinite(y))
+                output.judge_fidelities(data, inputs, noisy, [self._seed, 9, count, position])
+            rows = output.counted(data)
             if len(rows) == 0:
                 continue
-            if train or process.n == 0:
+            if train or output.process.n == 0:
                 trained = True
-                rng = np.random.default_rng([self._seed, 1, count, position])
-                kept = self._kept(data, rows) if train else rows
-                share = _TRAINING_SHARE * (position + 1) / len(self._processes)
-                process.fit(
-                    inputs[kept],
-                    y[kept],
-                    stddev[kept],
-                    rng=rng,
+                share = _TRAINING_SHARE * (position + 1) / len(self._outputs)
+                output.train(
+                    data,
+                    inputs,
+                    output.selected(data, inputs) if train else rows,
+                    seed=[self._seed, 1, count, position],
                     restarts=restarts,
-                    most_trained=None if len(kept) == len(rows) else _MOST_TRAINED,
                     seconds=max(begin + share * self._seconds - time.monotonic(), 0.0),
                     noisy=noisy,
                 )
                 if look and not self._is_hurried:
-                    self._suspect(name, data, kept, noisy, [self._seed, 6, count, position])
+                    output.suspect(data, inputs, noisy, [self._seed, 6, count, position])
             else:
-                new = rows[rows >= self._held]
-                for part in [new] if at_once and len(new) else new[:, None]:
-                    process.add_all(inputs[part], y[part], stddev[part])
+                output.add(data, inputs, rows[rows >= self._held], at_once)
         self._held = len(data)
         self._set_now(data)
         if look and self.has_suspects:
-            self._suspect_together(data, noisy, count)
+            # Others may be wrong, too, in an evaluation of which an output is suspected.
+            doubted = {int(row) for output in self._outputs.values() for row in output.suspects}
+            for position, output in enumerate(self._outputs.values()):
+                seed = [self._seed, 7, count, position]
+                output.suspect_doubtful(data, inputs, doubted, noisy, seed)
         if train and (restarts is None or count <= _FEW):
             deadline = begin + _TRAINING_SHARE * self._seconds
             if self._settings.drift == "auto" and not again:
@@ -386,116 +338,29 @@ class Models:
                 )
                 if self.drifts != self._context.timed and not self._is_hurried:
                     return self._learn(data, train, restarts, again=True)
-            self._steadiness = self._steadiness.with_noise_of(self._processes.values(), deadline)
+            self._steadiness = self._steadiness.with_noise_of(self.by_output.values(), deadline)
             if self._steadiness.learns_noise and not noisy and not self._is_hurried:
                 self._learn(data, train, restarts, again=True)
         return trained
 
-    def _judge_fidelities(self, name: str, data: Dataset, noisy: bool, seed: list[int]) -> None:
-        """Find out whether lower fidelities say anything of an output at the highest one.
-
-        If a model without them predicts left-out evaluations at the highest fidelity better, it is taken.
-
-        Args:
-            name: Output.
-            data: Evaluations.
-            noisy: Whether the machine is known to be noisy.
-            seed: Seed of the trainings.
-        """
-        self._apart.discard(name)
-        y, stddev = self._observations(name, data)
-        known = np.isfinite(y)
-        if np.count_nonzero(known & data.highest) < _LEAST_HIGHEST or data.highest[known].all():
-            return
-        x, densities = self._context.inputs(data), []
-        for usable in (known, known & data.highest):
-            rows = self._kept(data, np.flatnonzero(usable))
-            process = self._processes[name].untrained()
-            rng = np.random.default_rng(seed)
-            process.fit(
-                x[rows], y[rows], stddev[rows], rng=rng, most_trained=_MOST_TRAINED, noisy=noisy
-            )
-            density = np.full(len(data), np.nan)
-            density[rows] = process.leave_one_out().log_density
-            densities.append(density)
-        # Of readings that are nearly all alike, a few would outweigh all others.
-        gains = np.clip(densities[1] - densities[0], -1.0, 1.0)
-        if np.nansum(gains) > _CLEARLY_BETTER:
-            self._apart.add(name)
-
     def _timed_outputs(self, data: Dataset) -> Iterator[tuple[GaussianProcess, Array]]:
         """Yield the process of each output, and when its observations were measured ``(n,)``."""
-        times = self._context.times(data)
-        for name, process in self._processes.items():
-            y, _ = self._observations(name, data)
-            rows = self._kept(data, np.flatnonzero(np.isfinite(y)))
-            if len(rows) and len(rows) == process.n:
-                yield process, times[rows]
+        times, inputs = self._context.times(data), self._context.inputs(data)
+        for output in self.learned:
+            rows = output.selected(data, inputs)
+            if len(rows) == output.process.n:
+                yield output.process, times[rows]
 
     def _set_now(self, data: Dataset) -> None:
         """Let the processes predict for the latest contexts and time that they hold."""
         if self._context.count:
             now = self._context.now(data, self._held)
-            for process in self._processes.values():
-                process.now = now
-
-    # ------------------------------------------------------------------ suspects
-
-    def _suspect(
-        self, name: str, data: Dataset, rows: NDArray[np.intp], noisy: bool, seed: list[int]
-    ) -> None:
-        """Look for suspected readings of an output, and train its process without them.
-
-        Args:
-            name: Output.
-            data: Evaluations.
-            rows: Evaluations that its process was trained on.
-            noisy: Whether the machine is known to be noisy.
-            seed: Seed of the trainings.
-        """
-        y, stddev = data.column(name) * self._signs.get(name, 1.0), data.stddev_column(name)
-        former = self.suspects(name)
-        former = former[np.isfinite(y[former])]
-        every = np.union1d(rows, former)
-        x, process = self._context.inputs(data), self._processes[name]
-        found = find_suspects(
-            process,
-            x[every],
-            y[every],
-            stddev[every],
-            np.searchsorted(every, former),
-            np.random.default_rng(seed),
-        )
-        if not np.array_equal(every[found], former):
-            self._suspects[name] = every[found]
-            self._train_again(name, data, np.delete(every, found), noisy, seed)
-
-    def _suspect_together(self, data: Dataset, noisy: bool, count: int) -> None:
-        """Look once more at evaluations of which an output is suspected: others may be wrong, too."""
-        doubted = {int(row) for rows in self._suspects.values() for row in rows}
-        for position, (name, process) in enumerate(self._processes.items()):
-            y, _ = self._observations(name, data)
-            rows = self._kept(data, np.flatnonzero(np.isfinite(y)))
-            if len(rows) != process.n:
-                continue
-            found = [i for i, row in enumerate(rows) if row in doubted and is_doubtful(process, i)]
-            if found:
-                self._suspects[name] = np.union1d(self.suspects(name), rows[found])
-                seed = [self._seed, 7, count, position]
-                self._train_again(name, data, np.delete(rows, found), noisy, seed)
-
-    def _train_again(
-        self, name: str, data: Dataset, rows: NDArray[np.intp], noisy: bool, seed: list[int]
-    ) -> None:
-        """Train the process of an output on the given evaluations only, from nothing."""
-        y, stddev = data.column(name) * self._signs.get(name, 1.0), data.stddev_column(name)
-        process = self._processes[name] = self._processes[name].untrained()
-        rng = np.random.default_rng(seed)
-        process.fit(self._context.inputs(data)[rows], y[rows], stddev[rows], rng=rng, noisy=noisy)
+            for output in self._outputs.values():
+                output.process.now = now
 
     def suspects(self, name: str) -> NDArray[np.intp]:
         """Return the evaluations whose reading of an output is suspected, in their order."""
-        return self._suspects.get(name, np.empty(0, dtype=np.intp))
+        return self._outputs[name].suspects
 
     def is_surprised(self, data: Dataset) -> bool:
         """Return whether a reading that is not learned yet is ruled out by the models.
@@ -506,28 +371,13 @@ class Models:
             return False
         if len(data) - self._held > _FEW_NEW:  # a training is due anyway
             return False
-        x = self._context.inputs(data)
-        for name, process in self._processes.items():
-            y, stddev = self._observations(name, data)
-            for row in range(self._held, len(data)):
-                if np.isfinite(y[row]) and is_surprising(process, x[row], y[row], stddev[row]):
-                    return True
-        return False
+        inputs = self._context.inputs(data)
+        return any(o.is_surprised(data, inputs, self._held) for o in self._outputs.values())
 
     @property
     def has_suspects(self) -> bool:
         """Whether any reading is suspected."""
-        return any(map(len, self._suspects.values()))
-
-    def _kept(self, data: Dataset, rows: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return those evaluations of an output that its process learns from."""
-        return self._selection.of_outputs(data, self._context.inputs(data), rows)
-
-    def _rows(self, data: Dataset, y: Array) -> NDArray[np.intp]:
-        """Return the evaluations of an output y ``(n,)`` that its process holds, in their order."""
-        rows = np.flatnonzero(np.isfinite(y[: self._held]))
-        trained = rows[rows < self._trained_rows]
-        return np.concatenate([self._kept(data, trained), rows[rows >= self._trained_rows]])
+        return any(len(output.suspects) for output in self._outputs.values())
 
     @property
     def _is_hurried(self) -> bool:
@@ -535,7 +385,7 @@ class Models:
 
     def _count(self, data: Dataset, first: int | None = None) -> int:
         """Return how many of all or the first evaluations have any of the outputs."""
-        measured = [np.isfinite(data.column(name)[:first]) for name in self._processes]
+        measured = [np.isfinite(data.column(name)[:first]) for name in self._outputs]
         return int(np.count_nonzero(np.any(measured, axis=0)))
 
     def forget(self, data: Dataset) -> None:
@@ -545,24 +395,13 @@ class Models:
             self.validity = ValidityModel(self._one_hot, self._context.fidelities)
             if len(judged):
                 self.validity.fit(_located(data)[judged], ~data.failed[judged])
-        for name, process in self._processes.items():
-            y, stddev = self._observations(name, data)
-            rows = self._rows(data, y)
-            if len(rows) == 0:
-                self._processes[name] = process.untrained()
-            else:
-                learn = process.condition if process.n else process.fit
-                learn(self._context.inputs(data)[rows], y[rows], stddev[rows])
+        inputs = self._context.inputs(data)
+        for output in self._outputs.values():
+            output.learn_again(
+                data, inputs, output.held(data, inputs, self._held, self._trained_rows)
+            )
         self._set_now(data)
         self._outdated = self._judged > 0
-
-    def _observations(self, name: str, data: Dataset) -> tuple[Array, Array]:
-        """Return modelled values and their standard deviations ``(n,)`` each; NaN for suspects."""
-        y = data.column(name) * self._signs.get(name, 1.0)
-        y[self.suspects(name)] = np.nan
-        if name in self._apart:
-            y[~data.highest] = np.nan
-        return y, data.stddev_column(name)
 
     def get_state(self) -> dict[str, Any]:
         """Return what `set_state` needs beside the data, as plain data."""
@@ -575,10 +414,14 @@ class Models:
             "noisy": self._steadiness.is_noisy_by_evidence,
             "drift_evidence": self._steadiness.drift_evidence,
             "context": self._context.get_state(),
-            "apart": sorted(self._apart),
-            "suspects": {name: rows.tolist() for name, rows in self._suspects.items()},
+            "apart": sorted(name for name, output in self._outputs.items() if output.is_apart),
+            "suspects": {
+                name: output.suspects.tolist()
+                for name, output in self._outputs.items()
+                if len(output.suspects)
+            },
             "validity": self.validity.get_state(),
-            "processes": {name: p.get_state() for name, p in self._processes.items()},
+            "processes": {name: p.get_state() for name, p in self.by_output.items()},
         }
 
     def set_state(self, state: dict[str, Any], data: Dataset) -> None:
@@ -595,12 +438,11 @@ class Models:
             is_noisy_by_evidence=bool(state["noisy"]),
             drift_evidence=float(state["drift_evidence"]),
         )
-        self._suspects = {
-            name: np.array(rows, dtype=np.intp) for name, rows in state["suspects"].items()
-        }
-        self._apart = set(state.get("apart", ()))
-        if any((r < 0).any() or (r >= len(data)).any() for r in self._suspects.values()):
-            raise ProblemError("the state suspects evaluations that there are not")
+        for name, output in self._outputs.items():
+            output.suspects = np.array(state["suspects"].get(name, ()), dtype=np.intp)
+            output.is_apart = name in state.get("apart", ())
+            if (output.suspects < 0).any() or (output.suspects >= len(data)).any():
+                raise ProblemError("the state suspects evaluations that there are not")
         if not (
             0 <= self._trained <= self._trained_rows <= self._held <= len(data)
             and 0 <= self._judged <= len(data)
@@ -619,19 +461,19 @@ class Models:
             self._one_hot,
             self._context.fidelities,
         )
-        for name in self._processes:
-            y, stddev = self._observations(name, data)
-            rows = self._rows(data, y)
-            self._processes[name] = GaussianProcess.from_state(
+        inputs = self._context.inputs(data)
+        for name, output in self._outputs.items():
+            y, stddev = output.observations(data)
+            rows = output.held(data, inputs, self._held, self._trained_rows)
+            process = output.process = GaussianProcess.from_state(
                 state["processes"][name],
-                self._context.inputs(data)[rows],
+                inputs[rows],
                 y[rows],
                 stddev[rows],
                 mean=self._means.mean(name),
                 mean_gradient=self._means.gradient(name),
                 one_hot=self._one_hot,
             )
-            process = self._processes[name]
             if process.n != len(rows) or process.contexts != self._context.count:
                 raise ProblemError(f"the state lacks what the model of '{name}' was fitted to")
         self._set_now(data)
