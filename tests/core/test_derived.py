@@ -12,6 +12,7 @@ import pytest
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.core.dataset import Dataset
 from mobo_tuner.core.derived import DEEPEST, LONGEST, Derived
+from mobo_tuner.core.machine_facts import MachineFacts
 from mobo_tuner.core.problem import ProblemError
 
 CONFIG = Path(__file__).parents[2] / "config"
@@ -143,11 +144,13 @@ def test_a_derived_quantity_that_cannot_be_is_refused(
 def test_a_machine_measures_the_parts_and_not_the_result() -> None:
     problem = Problem.from_dict(PROBLEM)
     limits = {"x": (0.0, 10.0)}
-    problem.check_machine(limits, dict.fromkeys(("eps_x", "eps_y", "charge"), ""), {})
+    MachineFacts(limits, dict.fromkeys(("eps_x", "eps_y", "charge"), "")).check(problem)
     with pytest.raises(ProblemError, match=r"derived\.eps_4d\.formula uses 'eps_y'"):
-        problem.check_machine(limits, dict.fromkeys(("eps_x", "charge"), ""), {})
+        MachineFacts(limits, dict.fromkeys(("eps_x", "charge"), "")).check(problem)
     with pytest.raises(ProblemError, match=r"derived\.ratio is called as a diagnostic"):
-        problem.check_machine(limits, dict.fromkeys(("eps_x", "eps_y", "charge", "ratio"), ""), {})
+        MachineFacts(limits, dict.fromkeys(("eps_x", "eps_y", "charge", "ratio"), "")).check(
+            problem
+        )
     assert problem.measured_diagnostics == ("eps_x", "eps_y")
     assert problem.units["eps_4d"] == problem.objectives[0].unit == "mm mrad"
     assert Problem.from_dict(problem.to_dict()) == problem

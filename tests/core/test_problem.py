@@ -1,4 +1,4 @@
-"""The problem: its quantities, the scaling, and which machine suits it."""
+"""The problem: its quantities, the scaling, and where its open bounds are."""
 
 from __future__ import annotations
 
@@ -56,43 +56,6 @@ def test_a_bad_setpoint_is_refused(setpoint: dict[str, float], sentence: str) ->
 
 
 LIMITS = {"K1": (350.0, 600.0), "phi": (-20.0, 20.0)}
-DIAGNOSTICS = dict.fromkeys(["eps_x", "energy", "dE", "transmission", "charge"], "")
-
-
-@pytest.mark.parametrize(
-    ("limits", "diagnostics", "units", "sentence"),
-    [
-        ({"phi": (-20, 20)}, DIAGNOSTICS, {}, "variable 'K1' is not one of the machine's"),
-        (LIMITS | {"K1": (410, 600)}, DIAGNOSTICS, {}, "variables.K1.min is 400 A, outside the"),
-        (LIMITS | {"phi": (-20, -5)}, DIAGNOSTICS, {}, "variables.phi.max is 0, outside the"),
-        (LIMITS | {"G1": (0, 1)}, DIAGNOSTICS, {}, "'G1' is missing from 'variables'"),
-        (LIMITS, {"eps_x": ""}, {}, "objective 'energy' is not measured"),
-        (LIMITS, dict.fromkeys(["eps_x", "energy"], ""), {}, "constraint 'dE' is not measured"),
-        (LIMITS, DIAGNOSTICS, {"K1": "mA"}, "the unit of the variable 'K1' is 'A', but"),
-        (LIMITS, DIAGNOSTICS | {"eps_x": "m rad"}, {}, "the unit of the objective 'eps_x'"),
-    ],
-)
-def test_a_machine_that_cannot_play_the_problem_is_refused(
-    limits: dict[str, tuple[float, float]],
-    diagnostics: dict[str, str],
-    units: dict[str, str],
-    sentence: str,
-) -> None:
-    problem = Problem.from_dict(MAPPING)
-    problem.check_machine(LIMITS, DIAGNOSTICS, {})
-    with pytest.raises(ProblemError, match=sentence):
-        problem.check_machine(limits, diagnostics, units)
-
-
-def test_a_machine_takes_for_a_choice_what_the_problem_says() -> None:
-    words = {"K1": {"foil": 1.0, "mesh": 2.0, "none": 0.0}}
-    choices = {"choices": ["none", "mesh"], "values": [0, 2]}
-    problem, limits = open_problem(**choices), LIMITS | {"K1": (0.0, 2.0)}
-    problem.check_machine(limits, DIAGNOSTICS, {}, words)
-    problem.check_machine(limits, DIAGNOSTICS, {})
-    for wrong in ({"choices": ["none", "mesh"]}, {"choices": ["none", "wire"], "values": [0, 2]}):
-        with pytest.raises(ProblemError, match="machine takes foil = 1, mesh = 2, none = 0"):
-            open_problem(**wrong).check_machine(limits, DIAGNOSTICS, {}, words)
 
 
 def open_problem(**entry: Any) -> Problem:
@@ -116,7 +79,6 @@ def test_bounds_around_where_the_machine_is(
     problem = open_problem(**entry)
     assert problem.open_variables == ("K1",)
     assert Problem.from_dict(problem.to_dict()) == problem
-    problem.check_machine(LIMITS, DIAGNOSTICS, {})
     resolved = problem.resolved({"K1": present, "phi": 1.0}, LIMITS)
     k1, phi = resolved.variables
     assert (k1.minimum, k1.maximum) == pytest.approx(bounds)

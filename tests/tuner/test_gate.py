@@ -20,6 +20,7 @@ from mobo_msgs_py import msg
 from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint
 from mobo_msgs_py.srv import DescribeMachine
 from mobo_tuner.core import Optimizer, Problem, ProblemError
+from mobo_tuner.core.machine_facts import MachineFacts
 from mobo_tuner.errors import UserError
 from mobo_tuner.ros.conversions import values_of
 from mobo_tuner.runs.history import History
@@ -167,7 +168,7 @@ class Shift(RuleBasedStateMachine):
     def set_bounds(self, x: tuple[float, float], y: tuple[float, float]) -> None:
         try:
             problem = make_problem({"x": x, "y": y})
-            problem.check_machine(LIMITS, {"f": "", "g": ""}, {})
+            MachineFacts(LIMITS, {"f": "", "g": ""}).check(problem)
             check_reach(self.run, problem)
         except ProblemError:
             return

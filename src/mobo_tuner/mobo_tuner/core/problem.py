@@ -40,7 +40,6 @@ from mobo_tuner.core.values import (
     describe,
     listed,
 )
-from mobo_tuner.core.variable_definition import share_of
 from mobo_tuner.errors import FileError
 from mobo_tuner.files import load_yaml
 from mobo_tuner.names import topic_token
@@ -427,7 +426,7 @@ class Problem:
             if v.is_open:
                 if v.name not in limits or not math.isfinite(present.get(v.name, math.nan)):
                     raise ProblemError(f"the machine does not say where its '{v.name}' is")
-                v = _resolved(v, present[v.name], *limits[v.name])
+                v = v.resolved(present[v.name], *limits[v.name])
             resolved.append(v)
         return Problem.from_dict(replace(self, variables=tuple(resolved)).to_dict())
 
@@ -489,136 +488,8 @@ class Problem:
 
     def columns(self, x: Array) -> dict[str, Array]:
         """Return set-points ``x`` ``(n, d)`` in ``[-1, 1]`` as one array ``(n,)`` per variable, in its unit."""
-        return {v.name: _column(v, x[:, j]) for j, v in enumerate(self.variables)}
+        return {v.name: v.column(x[:, j]) for j, v in enumerate(self.variables)}
 
     def is_feasible(self, values: Mapping[str, float]) -> bool:
         """Return whether measured `values` meet every constraint."""
         return all(c.is_met(values.get(c.name, math.nan)) for c in self.constraints)
-
-    def check_machine(
-        self,
-        limits: Mapping[str, tuple[float, float]],
-        diagnostics: Mapping[str, str],
-        variable_units: Mapping[str, str],
-        words: Mapping[str, Mapping[str, float]] = {},
-    ) -> None:
-        """Check that a machine suits this problem.
-
-        Args:
-            limits: Hard limits of the machine's variables, by name.
-            diagnostics: Units of the machine's diagnostics, by name.
-            variable_units: Units of the machine's variables, by name.
-            words: Names of the positions of its selectors with what it takes for them, by variable.
-
-        Raises:
-            ProblemError: If the machine lacks a variable or a diagnostic, its limits are narrower than
-                the bounds, it needs a variable that the problem does not set, or a unit differs.
-        """
-        for variable in self.variables:
-            if variable.name not in limits:
-                raise ProblemError(
-                    f"variable '{variable.name}' is not one of the machine's: {listed(limits)}"
-                )
-            low, high = limits[variable.name]
-            if variable.is_open:
-                continue
-            ends = [("min", variable.minimum), ("max", variable.maximum)]
-            for key, value in ends if variable.fixed is None else [("fixed", variable.fixed)]:
-                if not low <= value <= high:
-                    raise ProblemError(
-                        f"variables.{variable.name}.{key} is {value:g} {variable.unit}".rstrip()
-                        + f", outside the machine's limits of {low:g} to {high:g}"
-                    )
-        for name in limits:
-            if name not in self.variable_names:
-                raise ProblemError(
-                    f"the machine's variable '{name}' is missing from 'variables': "
-                    f"it needs all of {listed(limits)}"
-                )
-        for variable in self.variables:
-            _check_unit("variable", variable, variable_units)
-            _check_words(variable, words.get(variable.name, {}))
-        derived = {d.name for d in self.derived}
-        self._check_formulas(diagnostics)
-        for kind, quantities in (
-            ("objective", self.objectives),
-            ("constraint", self.constraints),
-            ("observable", self.observables),
-        ):
-            for quantity in quantities:
-                if quantity.name in derived:
-                    continue
-                if quantity.name not in diagnostics:
-                    raise ProblemError(
-                        f"{kind} '{quantity.name}' is not measured by the machine, "
-                        f"which measures {listed(diagnostics)}"
-                    )
-                _check_unit(kind, quantity, diagnostics)
-
-    def _check_formulas(self, diagnostics: Mapping[str, str]) -> None:
-        """Check that a machine measures what the derived quantities consist of, and not themselves."""
-        for derived in self.derived:
-            if derived.name in diagnostics:
-                raise ProblemError(
-                    f"derived.{derived.name} is called as a diagnostic of the machine; another name "
-                    "is allowed"
-                )
-            for name in derived.names:
-                if name not in diagnostics and name not in self.variable_names:
-                    raise ProblemError(
-                        f"derived.{derived.name}.formula uses '{name}', which is neither a variable nor "
-                        f"measured by the machine, which measures {listed(diagnostics)}"
-                    )
-
-
-def _column(v: Variable, x: Array) -> Array:
-    if v.choice_names:
-        return np.array([v.denormalize(float(xi)) for xi in x])
-    if v.scale == "log":
-        return np.asarray(v.minimum * (v.maximum / v.minimum) ** (0.5 * (x + 1.0)))
-    return np.asarray(v.minimum + 0.5 * (x + 1.0) * (v.maximum - v.minimum))
-
-
-def _resolved(variable: Variable, present: float, low: float, high: float) -> Variable:
-    """Return an open variable with its bounds or value, inside the machine's limits."""
-    present = min(max(present, low), high)
-    if variable.at_present:
-        if variable.choices:
-            present = min(variable.choices, key=lambda choice: abs(choice - present))
-        elif variable.step:
-            present = float(f"{round(present / variable.step) * variable.step:.15g}")
-        return replace(variable, fixed=present, at_present=False)
-    around = variable.around
-    if isinstance(around, str):
-        around = share_of(around) * (high - low)
-    assert around is not None
-    return replace(
-        variable,
-        minimum=max(variable.minimum, low, present - around),
-        maximum=min(variable.maximum, high, present + around),
-        around=None,
-    )
-
-
-def _check_words(variable: Variable, words: Mapping[str, float]) -> None:
-    """Check that a machine takes for the choices of a variable what the problem says, as far as it has names."""
-    for name, value in zip(variable.choice_names, variable.choices, strict=False):
-        if words and words.get(name) != value:
-            known = ", ".join(f"{word} = {number:g}" for word, number in words.items())
-            raise ProblemError(
-                f"variables.{variable.name} has the choice '{name}' = {value:g}, but the machine takes {known}; set "
-                "choices and values so"
-            )
-
-
-def _check_unit(
-    kind: str,
-    quantity: Variable | Objective | Constraint | Observable,
-    units: Mapping[str, str],
-) -> None:
-    unit = units.get(quantity.name, "")
-    if quantity.unit and unit and quantity.unit != unit:
-        raise ProblemError(
-            f"the unit of the {kind} '{quantity.name}' is '{quantity.unit}', "
-            f"but the machine gives it in '{unit}'"
-        )

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,11 @@ LIMIT_TOLERANCE = 1e-9
 """Excess of a limit, relative to the largest of its terms and ends, that is rounding."""
 _AT_CHOICE = 0.25  # distance from a choice, as a share of the least one between two, at which a readback is there
 _ON_GRID = 1e-9  # distance from a multiple, in steps, that is rounding
+
+
+def share_of(percent: str) -> float:
+    """Return the share that a text such as "10 %" names."""
+    return float(percent.replace("%", "")) / 100.0
 
 
 @dataclass(frozen=True)
@@ -139,6 +144,40 @@ class Variable:
         else:
             value = self.minimum + 0.5 * (x + 1.0) * (self.maximum - self.minimum)
         return min(max(value, self.minimum), self.maximum)
+
+    def column(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the values [`unit`] for places ``(n,)`` in [-1, 1], on the bounds but on no grid."""
+        if self.choice_names:
+            return np.array([self.denormalize(float(xi)) for xi in x])
+        if self.scale == "log":
+            return np.asarray(self.minimum * (self.maximum / self.minimum) ** (0.5 * (x + 1.0)))
+        return np.asarray(self.minimum + 0.5 * (x + 1.0) * (self.maximum - self.minimum))
+
+    def resolved(self, present: float, low: float, high: float) -> Self:
+        """Return an open variable with its bounds or value, inside the machine's limits.
+
+        Args:
+            present: Where the machine is [`unit`].
+            low: Lower limit of the machine [`unit`].
+            high: Upper limit of the machine [`unit`].
+        """
+        present = min(max(present, low), high)
+        if self.at_present:
+            if self.choices:
+                present = min(self.choices, key=lambda choice: abs(choice - present))
+            elif self.step:
+                present = float(f"{round(present / self.step) * self.step:.15g}")
+            return replace(self, fixed=present, at_present=False)
+        around = self.around
+        if isinstance(around, str):
+            around = share_of(around) * (high - low)
+        assert around is not None
+        return replace(
+            self,
+            minimum=max(self.minimum, low, present - around),
+            maximum=min(self.maximum, high, present + around),
+            around=None,
+        )
 
     def nearest(self, value: float) -> float:
         """Return the allowed value that is nearest [`unit`]; the value itself if there is no grid."""

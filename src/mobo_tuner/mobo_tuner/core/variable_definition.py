@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from mobo_tuner.core.quantities import Scale, Variable
+from mobo_tuner.core.quantities import Scale, Variable, share_of
 from mobo_tuner.core.values import (
     LARGEST,
     ProblemError,
@@ -130,11 +130,6 @@ def _around(where: str, entry: Mapping[str, Any]) -> float | str | None:
     if not around > 0.0:
         raise ProblemError(f"{where}.around is {around:g}, which must be greater than 0")
     return around
-
-
-def share_of(percent: str) -> float:
-    """Return the share that a text such as "10 %" names."""
-    return float(percent.replace("%", "")) / 100.0
 
 
 def _walls(where: str, entry: Mapping[str, Any]) -> tuple[float, float]:

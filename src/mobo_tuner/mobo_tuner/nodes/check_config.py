@@ -21,6 +21,7 @@ from typing import Any
 
 import yaml
 
+from mobo_tuner.core.machine_facts import MachineFacts
 from mobo_tuner.core.problem import ONE_FIDELITY, Problem
 from mobo_tuner.core.settings import method_of
 from mobo_tuner.displays.configuration import Configuration, explanation
@@ -87,7 +88,7 @@ def check(
     machine = None
     if section:
         machine = machines[section](Path(path))
-        problem.check_machine(
+        MachineFacts(
             {name: (v.minimum, v.maximum) for name, v in machine.variables.items()},
             machine.diagnostics,
             {name: v.unit for name, v in machine.variables.items()},
@@ -96,7 +97,7 @@ def check(
                 for name, v in machine.variables.items()
                 if v.words
             },
-        )
+        ).check(problem)
     simulation = str(sections.get("campaign", {}).get("command", ""))
     if problem.fidelity and (section or program or not simulation):
         raise ParameterError(f"'fidelity' is given, {ONE_FIDELITY}")

@@ -88,7 +88,7 @@ class Twin:
         except MachineLostError as error:
             raise UserError(str(error)) from None
         assert machine is not None  # nothing interrupts it
-        problem.check_machine(*machine_facts(machine))
+        machine_facts(machine).check(problem)
         self._node.get_logger().info(f"'{machine.name}' has joined the campaign")
         self._interrupt = interrupt = Future(executor=self._node.executor)
         critical = constraint_messages(problem, critical_only=True)

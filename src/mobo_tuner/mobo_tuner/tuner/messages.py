@@ -11,6 +11,7 @@ from std_msgs.msg import Header
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.srv import DescribeMachine
+from mobo_tuner.core.machine_facts import MachineFacts
 from mobo_tuner.core.problem import Limit, Problem
 from mobo_tuner.ros.conversions import named_values
 from mobo_tuner.runs.records import SCALES, EvaluationRecord, MessageClasses, to_message
@@ -18,13 +19,9 @@ from mobo_tuner.runs.records import SCALES, EvaluationRecord, MessageClasses, to
 _CLASSES = MessageClasses(msg.Evaluation, msg.NamedValue, Header, Time)
 
 
-def machine_facts(
-    machine: DescribeMachine.Response,
-) -> tuple[
-    dict[str, tuple[float, float]], dict[str, str], dict[str, str], dict[str, dict[str, float]]
-]:
-    """Return what a machine says of itself, as `Problem.check_machine` takes it."""
-    return (
+def machine_facts(machine: DescribeMachine.Response) -> MachineFacts:
+    """Return what a machine says of itself."""
+    return MachineFacts(
         {v.name: (v.min, v.max) for v in machine.variables},
         {d.name: d.unit for d in machine.diagnostics},
         {v.name: v.unit for v in machine.variables},

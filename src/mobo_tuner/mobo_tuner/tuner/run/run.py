@@ -219,7 +219,7 @@ class Run:
         Raises:
             ProblemError: If it does not suit.
         """
-        self.problem.check_machine(*machine_facts(machine))
+        machine_facts(machine).check(self.problem)
         self.machine = machine
 
     # ------------------------------------------------------------------ messages

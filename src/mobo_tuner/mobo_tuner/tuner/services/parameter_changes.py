@@ -82,7 +82,7 @@ class ParameterChanges:
         if run is None:
             return
         if run.machine is not None:
-            problem.check_machine(*machine_facts(run.machine))
+            machine_facts(run.machine).check(problem)
         if run.changeable:
             check_reach(run, problem)
 
