@@ -10,8 +10,10 @@ import pytest
 
 from mobo_tuner.runs.bag_messages import BagError
 from mobo_tuner.runs.journal import JsonRecord, read_journal
+from mobo_tuner.runs.old_data import read_old_data
 from mobo_tuner.runs.rebuild import BaggedRun, main, records_of_bag, runs_of_bag
 from mobo_tuner.runs.records import EndRecord, MoveRecord, StateRecord, to_json
+from mobo_tuner.runs.replay import main as replay
 from robustness.offline_run import OfflineRun, toy, toy_optimizer
 from robustness.synthetic_bag import write_bag
 
@@ -93,8 +95,29 @@ def test_moves_come_where_they_were_made(runs: dict[str, list[JsonRecord]]) -> N
     )
     told = [record for record in others if record["type"] == "evaluation"]
     assert bagged.journal() == [start, before, *told, last, end, *late]
+    assert bagged.gap == ""
     bagged.evaluations.pop(count - 2)  # a part of the bag is damaged
     assert bagged.journal() == [start, before, *told[:-2]]
+    assert bagged.gap.startswith(f"evaluations {count - 2} to {count - 1} cannot be rebuilt")
+    assert bagged.gap.endswith("although 1 of them are there")
+
+
+def test_what_a_bag_lacks_is_told(
+    runs: dict[str, list[JsonRecord]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = runs["one"]
+    lost = next(r for r in whole if r["type"] == "evaluation" and r["index"] == 2)
+    last = max(r["index"] for r in whole if r["type"] == "evaluation")
+    write_bag(tmp_path / "bag", [record for record in whole if record is not lost])
+    told = f"evaluations 2 to {last} cannot be rebuilt, because 2 is missing in the bag"
+    assert main([str(tmp_path / "bag"), str(tmp_path / "rebuilt")]) == 0
+    assert told in capsys.readouterr().out
+    assert replay([str(tmp_path / "bag")]) == 0
+    assert told in capsys.readouterr().out
+    assert told in read_old_data(tmp_path / "bag").gap
+    # What was never in the bag is known from the tuner's status.
+    assert BaggedRun(counted=3).gap.startswith("evaluations 0 to 2 cannot be rebuilt")
+    assert BaggedRun().gap == ""
 
 
 def test_of_several_runs_one_is_named(runs: dict[str, list[JsonRecord]], tmp_path: Path) -> None:

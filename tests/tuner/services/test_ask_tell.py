@@ -11,7 +11,7 @@ import pytest
 from rclpy.node import Node
 
 from mobo_msgs_py import msg
-from mobo_msgs_py.action import EvaluateSetpoint, Tune
+from mobo_msgs_py.action import EvaluateSetpoint, GoToWorkingPoint, Tune
 from mobo_msgs_py.srv import Ask, ListWorkingPoints, Tell
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.ros.qos import LATCHED, STREAM
@@ -109,6 +109,18 @@ def test_a_loop_of_ones_own_gets_what_the_library_would_ask(
     records = journal(tmp_path, run_id)
     assert [r["type"] for r in records] == ["start", *["evaluation"] * 11]
     assert [r["valid"] for r in records[1:]] == [True] * 10 + [False]
+
+    # A run that holds a point of it takes the status, until the client asks again.
+    toy_machine(node)
+    mover = GoalClient(node, spin_until, GoToWorkingPoint, "go_to_working_point")
+    mover.send(GoToWorkingPoint.Goal(index=listed.points[0].index, hold_evaluations=1))
+    assert mover.wait().error_code == 0
+    spin_until(lambda: statuses.messages[-1].stop_reason == "budget", "the end of the holding")
+    assert "-hold-" in statuses.messages[-1].run_id
+    assert loop.ask().run_id == run_id
+    spin_until(lambda: statuses.messages[-1].run_id == run_id, "the status of the client's run")
+    last = statuses.messages[-1]
+    assert (last.evaluations, last.budget, last.stop_reason) == (11, 0, "")
 
 
 def test_readbacks_that_are_told_are_kept_and_learned_from(

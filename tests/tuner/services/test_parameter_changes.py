@@ -159,7 +159,7 @@ def test_what_cannot_be_meant_is_refused_as_a_whole_with_one_sentence(
     result = services.set(evaluations=count)
     assert result.reason == (
         f"evaluations is {count}; more than the {count} that are finished are allowed, "
-        "and stop_after_this ends a run"
+        "and 'stop' ends the run"
     )
     machine.held = False
     assert client.wait().evaluations == 5

@@ -27,7 +27,13 @@ from tests.support.tuner import (
 
 RESULT = EvaluateSetpoint.Result
 State = msg.TunerStatus
-TRIGGERS = ("pause", "resume", "step", "skip", "stop_after_this")
+VERBS = {  # of operators, by the name of their service
+    "pause": "pause",
+    "resume": "continue",
+    "step": "step",
+    "skip": "skip",
+    "stop_after_this": "stop",
+}
 
 
 class Desk:
@@ -83,10 +89,10 @@ def test_pause_step_resume_and_stop_after_this(
     start_tuner: Callable[..., NodeProcess], desk: Desk, tmp_path: Path
 ) -> None:
     start_tuner("initial_evaluations:=4")
-    for name in TRIGGERS:
+    for name, verb in VERBS.items():
         refused = desk.services.trigger(name)
         assert not refused.success
-        assert refused.message == f"'{name}' needs an active run; there is none"
+        assert refused.message == f"'{verb}' needs an active run; there is none"
 
     desk.start(run_id="steered", evaluations=50)
     assert desk.ask("pause") == "the run pauses before evaluation 1"

@@ -412,7 +412,19 @@ def check_approach(
     assert move.via is not None
     assert move.via["x1"] == there["x1"]
     assert move.via["x2"] == pytest.approx(there["x2"] + math.copysign(0.125, back))
-    assert services.set(variables__x2__approach=0.0).successful
+    # Where a bound bars that side, the machine goes straight, and says so.
+    bound = "min" if back < 0.0 else "max"
+    limit = there["x2"] + math.copysign(0.0625, back)
+    assert services.set(**{f"variables__x2__{bound}": limit}).successful
+    mover.send(Goal(index=6))
+    result = mover.wait()
+    assert (result.error_code, machine.moves[-1].via) == (CODES.NONE, [])
+    assert "straight" in result.error_msg
+    assert f"set-point x2 is {move.via['x2']:g}" in result.error_msg
+    widened = math.copysign(2.0, back)
+    assert services.set(
+        **{f"variables__x2__{bound}": widened}, variables__x2__approach=0.0
+    ).successful
 
 
 def check_other_places(

@@ -479,7 +479,7 @@ class TunerClient:
             units=units_of((*result.readbacks, *result.measured, *result.point.objectives)),
             evaluations=result.evaluations,
             measured=values_of(result.measured),
-            failure=result.error_msg,
+            remark=result.error_msg,
         )
 
     def hold(

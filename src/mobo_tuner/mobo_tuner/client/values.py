@@ -232,7 +232,7 @@ class Arrival:
         units: Units of variables and diagnostics.
         evaluations: Number of evaluations spent on holding the point.
         measured: Means of what was measured at the point, by name; empty if nothing was.
-        failure: Reason why nothing was measured; empty if something was, or was not to be.
+        remark: What was not done as it should, such as why nothing was measured; empty if everything was.
     """
 
     run_id: str
@@ -241,7 +241,7 @@ class Arrival:
     units: Mapping[str, str]
     evaluations: int
     measured: Mapping[str, float] = field(default_factory=dict)
-    failure: str = ""
+    remark: str = ""
 
 
 @dataclass(frozen=True)

@@ -180,7 +180,7 @@ def go(client: TunerClient, options: argparse.Namespace) -> str:
     index = arrival.point.index
     place = "the state before" if index is None else f"point {index} of"
     text = f"at {place} run {arrival.run_id}{held}: {where}"
-    return text if options.no_measurement else f"{text}\n{_comparison(arrival)}"
+    return "\n".join(filter(None, (text, _comparison(arrival), arrival.remark)))
 
 
 VERBS: dict[str, Act] = {
@@ -322,9 +322,9 @@ def main() -> None:
 
 
 def _comparison(arrival: Arrival) -> str:
-    """Return what a point promises beside what was measured there, one objective per line."""
+    """Return what a point promises beside what was measured there, one objective per line; empty if nothing was."""
     if not arrival.measured:
-        return arrival.failure
+        return ""
     rows = [["", "promised", "measured now", "difference"]]
     promises = arrival.point.objectives or dict.fromkeys(arrival.measured, math.nan)
     for name, promised in promises.items():

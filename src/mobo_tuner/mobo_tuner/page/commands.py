@@ -118,7 +118,8 @@ class Commands:
         def go() -> str:
             arrival: Arrival = self._client.go(index, run_id=run_id, hold=hold)
             held = f" and held it for {arrival.evaluations} evaluations" if hold else ""
-            return f"the machine is at the point of evaluation {index}{held}"
+            there = f"the machine is at the point of evaluation {index}{held}"
+            return f"{there}; {arrival.remark}" if arrival.remark else there
 
         return await self._move(go)
 

@@ -50,11 +50,19 @@ class OldEvaluation:
 
 @dataclass(frozen=True)
 class OldData:
-    """Evaluations of one source, and the units of its quantities as far as it names them."""
+    """Evaluations of one source.
+
+    Attributes:
+        source: Name of the source.
+        evaluations: The evaluations.
+        units: Units of its quantities, as far as it names them.
+        gap: Which evaluations a bag lacks, in one sentence; empty if none.
+    """
 
     source: str
     evaluations: Sequence[OldEvaluation]
     units: Mapping[str, str] = field(default_factory=dict)
+    gap: str = ""
 
 
 def read_old_data(path: Path) -> OldData:
@@ -75,7 +83,8 @@ def read_old_data(path: Path) -> OldData:
 
 
 def _run(path: Path) -> OldData:
-    history = History.from_records(records_of(path))
+    records, gap = records_of(path)
+    history = History.from_records(records)
     withdrawn: dict[int, set[str]] = {}
     for change in history.withdrawals:
         names = withdrawn.setdefault(change.evaluation, set())
@@ -99,7 +108,7 @@ def _run(path: Path) -> OldData:
                 withdrawn="" in lost,
             )
         )
-    return OldData(path.name, evaluations, history.last_problem.units)
+    return OldData(path.name, evaluations, history.last_problem.units, gap)
 
 
 def _table(path: Path) -> OldData:

@@ -56,12 +56,27 @@ class BaggedRun:
         problems: The same, made of its `Problem` messages, with unknown settings and budgets.
         evaluations: Its evaluations by index.
         end: Its end record; None if the run did not end.
+        counted: Number of its evaluations by the last status of the tuner.
     """
 
     outline: list[JsonRecord] = field(default_factory=list)
     problems: list[JsonRecord] = field(default_factory=list)
     evaluations: dict[int, JsonRecord] = field(default_factory=dict)
     end: JsonRecord | None = None
+    counted: int = 0
+
+    @property
+    def gap(self) -> str:
+        """Which evaluations cannot be rebuilt, in one sentence; empty if all can."""
+        first = self._first_missing()
+        total = max(self.counted, *(index + 1 for index in self.evaluations), 0)
+        if first == total:
+            return ""
+        last = f" to {total - 1}" if total - 1 > first else ""
+        found = sum(index > first for index in self.evaluations)
+        lost = f", although {found} of them are there" if found else ""
+        what = f"evaluation{'s' if last else ''} {first}{last}"
+        return f"{what} cannot be rebuilt, because {first} is missing in the bag{lost}"
 
     @property
     def has_problem(self) -> bool:
@@ -83,7 +98,7 @@ class BaggedRun:
                 break
             records.append(self.evaluations[count])
             count += 1
-        if self.end is not None and count == len(self.evaluations):
+        if self.end is not None and not self.gap:
             records.append(self.end)
             records += [change for change in changes if self._is_late(change)]
         return records
@@ -106,11 +121,15 @@ class BaggedRun:
         if _with_references_of(content, last["problem"]) == content:
             last["problem"] = content
             return
+        change = to_json(ChangeRecord(stamp, self._first_missing(), problem, budget=0))
+        self.problems.append(_strict(change))
+
+    def _first_missing(self) -> int:
+        """Return the index of the first evaluation that is not there."""
         index = 0
         while index in self.evaluations:
             index += 1
-        change = to_json(ChangeRecord(stamp, index, problem, budget=0))
-        self.problems.append(_strict(change))
+        return index
 
 
 def runs_of_bag(path: Path) -> dict[str, BaggedRun]:
@@ -131,7 +150,12 @@ def runs_of_bag(path: Path) -> dict[str, BaggedRun]:
 
 
 def records_of_bag(path: Path, run_id: str | None = None) -> list[JsonRecord]:
-    """Return the records of a run's journal, from its bag.
+    """Return the records of a run's journal, from its bag; see `run_of_bag`."""
+    return run_of_bag(path, run_id).journal()
+
+
+def run_of_bag(path: Path, run_id: str | None = None) -> BaggedRun:
+    """Return what a bag holds of one run that can be rebuilt.
 
     Args:
         path: Folder of the bag, or one of its files.
@@ -149,12 +173,12 @@ def records_of_bag(path: Path, run_id: str | None = None) -> list[JsonRecord]:
     if not names or names[0] not in runs:
         which = "no run" if run_id is None else f"no run '{run_id[:120]}'"
         raise BagError(f"the bag '{path}' holds {which} with its problem")
-    records = runs[names[0]].journal()
+    run = runs[names[0]]
     try:
-        History.from_records(records)
+        History.from_records(run.journal())
     except JournalError as error:
         raise BagError(f"the bag '{path}' holds no run that can be rebuilt: {error}") from None
-    return records
+    return run
 
 
 @cache
@@ -194,14 +218,17 @@ def _take(message: Message, runs: dict[str, BaggedRun]) -> None:
         elif name == EVALUATION:
             record = _strict(to_json(from_message(content)))
             run.evaluations.setdefault(record["index"], record)
-        elif content.stop_reason and run.end is None:
-            run.end = to_json(
-                EndRecord(
-                    seconds(content.header.stamp), content.stop_reason, error_msg=content.message
-                )
-            )
+        else:
+            _take_status(content, run)
     except (JournalError, ValueError):
         return
+
+
+def _take_status(content: Any, run: BaggedRun) -> None:
+    run.counted = int(content.evaluations)
+    if content.stop_reason and run.end is None:
+        stamp = seconds(content.header.stamp)
+        run.end = to_json(EndRecord(stamp, content.stop_reason, error_msg=content.message))
 
 
 def _with_references_of(problem: Mapping[str, Any], last: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -262,12 +289,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--of", help="id of the run, if the bag has several")
     options = parser.parse_args(arguments)
     try:
-        records = records_of_bag(options.bag, options.of)
+        run = run_of_bag(options.bag, options.of)
+        records = run.journal()
         write_run(records, options.run_folder)
     except (BagError, OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 1
     print(_summary(records))
+    if run.gap:
+        print(run.gap)
     return 0
 
 

@@ -19,7 +19,7 @@ from mobo_tuner.runs.history import History, Step, told_of
 from mobo_tuner.runs.journal import JsonRecord, read_journal
 from mobo_tuner.runs.optimizer_settings import make_optimizer
 from mobo_tuner.runs.prior_model import load_prior_model
-from mobo_tuner.runs.rebuild import records_of_bag
+from mobo_tuner.runs.rebuild import run_of_bag
 from mobo_tuner.runs.records import EvaluationRecord, ForgetRecord
 from mobo_tuner.runs.saved_state import SavedState
 
@@ -129,8 +129,8 @@ def compare(history: History) -> list[Comparison]:
     return comparisons
 
 
-def records_of(path: Path, run_id: str | None = None) -> list[JsonRecord]:
-    """Return the records of a run.
+def records_of(path: Path, run_id: str | None = None) -> tuple[list[JsonRecord], str]:
+    """Return the records of a run, and which of its evaluations are missing in a bag, in one sentence.
 
     Args:
         path: Run folder, journal, folder of a bag, or one of its files.
@@ -139,7 +139,10 @@ def records_of(path: Path, run_id: str | None = None) -> list[JsonRecord]:
     Raises:
         JournalError, BagError: If it is none of these, or cannot be read.
     """
-    return records_of_bag(path, run_id) if is_bag(path) else read_journal(path)
+    if not is_bag(path):
+        return read_journal(path), ""
+    run = run_of_bag(path, run_id)
+    return run.journal(), run.gap
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -149,7 +152,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--of", help="name of the run, if the bag holds several")
     options = parser.parse_args(arguments)
     try:
-        comparisons = compare(History.from_records(records_of(options.run, options.of)))
+        records, gap = records_of(options.run, options.of)
+        comparisons = compare(History.from_records(records))
     except UserError as error:
         print(error, file=sys.stderr)
         return 1
@@ -159,6 +163,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"{len(comparisons)} evaluations, {len(compared)} suggestions computed again, "
         f"{len(compared) - len(different)} identical bit for bit"
     )
+    if gap:
+        print(gap)
     for comparison in different[:5]:
         print(f"  {comparison.index}: then {dict(comparison.then)}")
         print(f"  {comparison.index}: now  {dict(comparison.now)}")

@@ -27,7 +27,7 @@ class Taken:
         source: Name of the source.
         count: Number of evaluations that were taken.
         left: Number of those that were left, by the reason.
-        notes: What was left of those that were taken.
+        notes: What was left of those that were taken, and what the source lacks.
     """
 
     source: str
@@ -79,7 +79,7 @@ class WarmStart:
     def add(self, data: OldData) -> None:
         """Take what fits of one source, in the order of their times."""
         problem = self._problem
-        taken = Taken(data.source)
+        taken = Taken(data.source, notes=[data.gap] if data.gap else [])
         self.taken.append(taken)
         wrong = self._wrong_units(data)
         lacking = [n for n in wrong if n in problem.variable_names]

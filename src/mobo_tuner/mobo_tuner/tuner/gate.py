@@ -33,11 +33,14 @@ class Target(NamedTuple):
         setpoint: Every variable, in its unit.
         anyway: Whether an operator has said that it may be outside the problem's bounds.
         via: Set-point to pass on the way; None = straight there.
+        straight: Reason why the machine goes straight there, although some variables have an `approach`; empty if
+            it does not, or if there is nothing to approach.
     """
 
     setpoint: Mapping[str, float]
     anyway: bool = False
     via: Mapping[str, float] | None = None
+    straight: str = ""
 
 
 @dataclass(frozen=True)

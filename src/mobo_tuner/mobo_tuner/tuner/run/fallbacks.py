@@ -112,7 +112,7 @@ class Fallbacks:
         except OSError as error:
             return f"the machine holds: {what} is out of bounds, and {error}"
         keep_state(self._context, run, went.readbacks, "" if went.arrived else went.text)
-        return went.text
+        return f"{went.text}, straight: {target.straight}" if target.straight else went.text
 
     async def _go(self, target: Target, run: Run, what: str, interrupts: Sequence[Future]) -> _Went:
         """Go to a target and return what came of it.

@@ -212,6 +212,7 @@ class RunLoop:
         context = self._context
         patience = context.parameters.discovery_timeout
         context.status.set(publish=False, stop_reason="", run_id=run.run_id, last_failure="")
+        publish_figures(context, run, at_once=False)  # in place of those of the run before
         self._recording.begin()
         context.status.work(
             msg.TunerStatus.WAITING, f"waiting up to {patience:g} s for a machine to answer"
@@ -447,10 +448,11 @@ def publish_run(context: TunerContext, run: Run) -> None:
     context.topics.front(run.front_message(now))
 
 
-def publish_figures(context: TunerContext, run: Run) -> None:
+def publish_figures(context: TunerContext, run: Run, *, at_once: bool = True) -> None:
     """Publish the counts and the hypervolume of a run; that of a client with its own loop has no budget."""
     found = run.found
     context.status.set(
+        publish=at_once,
         budget=0 if run.by_client else run.budget,
         evaluations=found.evaluations,
         failed=found.failed,

@@ -6,8 +6,10 @@ from collections.abc import Mapping
 
 from mobo_tuner.runs.records import MoveRecord, StateRecord
 from mobo_tuner.tuner.context import TunerContext
-from mobo_tuner.tuner.gate import Gate, Target
+from mobo_tuner.tuner.gate import BoundsError, Gate, Target
 from mobo_tuner.tuner.run.run import Run
+
+_AWAY = "the side from which it should be approached is out of bounds"
 
 
 def approached(target: Target, run: Run, index: int, gate: Gate) -> Target:
@@ -20,17 +22,26 @@ def approached(target: Target, run: Run, index: int, gate: Gate) -> Target:
         gate: The way to the machine, whose problem says which variables are approached from how far.
 
     Returns:
-        The target itself if nothing has to be approached, or if the machine may not go to that side.
+        The target with the side as `via`; with the reason as `straight` if that side is unknown or the machine may not
+        go there; the target itself if nothing has to be approached.
     """
     earlier = run.records[index - 1][1].setpoint if index else run.state_before or {}
     via = dict(target.setpoint)
     for variable in gate.bounds.variables:
-        if variable.approach and variable.name in earlier:
+        if variable.approach and variable.name not in earlier:
+            return target._replace(straight=f"from where evaluation {index} came is unknown")
+        if variable.approach:
             back = earlier[variable.name] - via[variable.name]
             place = via[variable.name] + min(max(back, -variable.approach), variable.approach)
             via[variable.name] = variable.nearest(place)
+    if via == target.setpoint:
+        return target
     beside = target._replace(via=via)
-    return beside if via != target.setpoint and gate.allows(beside) else target
+    try:
+        gate.check(beside)
+    except BoundsError as error:
+        return target._replace(straight=f"{_AWAY}: {error}")
+    return beside
 
 
 def keep_move(

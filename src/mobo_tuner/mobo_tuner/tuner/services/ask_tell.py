@@ -137,12 +137,14 @@ class AskTell:
             self._asked = None
             self._run = await self._begin()
             self._session.know(self._run)
-            publish_run(self._context, self._run)
-            self._context.status.set(
-                publish=False, run_id=self._run.run_id, stop_reason="", message="", last_failure=""
-            )
-            publish_figures(self._context, self._run)
         run, problem = self._run, self._parameters.problem
+        status = self._context.status
+        if status.message.run_id != run.run_id:  # it is new, or a run held a point of it meanwhile
+            publish_run(self._context, run)
+            status.set(
+                publish=False, run_id=run.run_id, stop_reason="", message="", last_failure=""
+            )
+            publish_figures(self._context, run)
         if run.found.given_problem != problem:
             change = Change(problem, run.budget)
             await self._context.worker.submit(run.apply, change, self._context.stamp())

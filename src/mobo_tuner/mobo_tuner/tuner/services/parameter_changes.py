@@ -52,7 +52,7 @@ class ParameterChanges:
             if run is not None and run.changeable and budget is not None and budget <= run.index:
                 raise ParameterError(
                     f"evaluations is {budget}; more than the {run.index} that are finished are "
-                    "allowed, and stop_after_this ends a run"
+                    "allowed, and 'stop' ends the run"
                 )
             if problem_changes:
                 self._check_problem(self._parameters.with_changes(problem_changes))

@@ -33,36 +33,38 @@ class SteeringServices:
     def __init__(self, context: TunerContext, session: Session) -> None:
         self._context = context
         self._session = session
-        for service, action in (
-            (interfaces.PAUSE, _pause),
-            (interfaces.RESUME, _resume),
-            (interfaces.STEP, _step),
-            (interfaces.STOP_AFTER_THIS, _stop_after_this),
+        for service, verb, action in (
+            (interfaces.PAUSE, "pause", _pause),
+            (interfaces.RESUME, "continue", _continue),
+            (interfaces.STEP, "step", _step),
+            (interfaces.STOP_AFTER_THIS, "stop", _stop_after_this),
         ):
-            service.server(context.node, self._trigger(service.name, action))
+            service.server(context.node, self._trigger(verb, action))
         interfaces.SKIP.server(context.node, self._skip, waits=True)
         interfaces.QUEUE_SETPOINT.server(context.node, self._queue)
         for service, withdrawn in ((interfaces.FORGET, True), (interfaces.UNFORGET, False)):
             service.server(context.node, self._withdrawal(service.name, withdrawn))
 
     def _trigger(
-        self, name: str, action: Callable[[Run], str]
+        self, verb: str, action: Callable[[Run], str]
     ) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
+        """Return the function of a service, whose answers name the operator's verb."""
+
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
-                run = self._active(name)
+                run = self._active(verb)
                 response.message = action(run)
             except RequestError as error:
                 response.message = str(error)
                 return response
             response.success = True
             run.steering.notify()
-            self._context.log.info(f"run '{run.run_id}', {name}: {response.message}")
+            self._context.log.info(f"run '{run.run_id}', {verb}: {response.message}")
             return response
 
         return serve
 
-    def _active(self, name: str) -> Run:
+    def _active(self, verb: str) -> Run:
         """Return the run that a request is for.
 
         Raises:
@@ -70,10 +72,10 @@ class SteeringServices:
         """
         run = self._session.run
         if run is None:
-            raise RequestError(f"'{name}' needs an active run; there is none")
+            raise RequestError(f"'{verb}' needs an active run; there is none")
         if run.steering.over:
             moves = ", and the machine moves: 'skip' stops it" * run.steering.falling_back
-            raise RequestError(f"'{name}' comes too late: the run is over{moves}")
+            raise RequestError(f"'{verb}' comes too late: the run is over{moves}")
         return run
 
     async def _skip(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -129,7 +131,7 @@ class SteeringServices:
         self, request: QueueSetpoint.Request, response: QueueSetpoint.Response
     ) -> QueueSetpoint.Response:
         try:
-            run = self._active("queue_setpoint")
+            run = self._active("queue")
         except RequestError as error:
             response.message = str(error)
             return response
@@ -224,7 +226,7 @@ def _pause(run: Run) -> str:
     return f"the run pauses before evaluation {run.upcoming}"
 
 
-def _resume(run: Run) -> str:
+def _continue(run: Run) -> str:
     run.steering.resume()
     return "the run continues"
 

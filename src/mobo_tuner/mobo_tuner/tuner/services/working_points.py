@@ -282,6 +282,8 @@ class WorkingPoints:
             keep_move(context, run, target, purpose, "operator", evaluation)
         except OSError as error:
             raise RunError(_CODES.INVALID_GOAL, str(error)) from None
+        if target.straight:
+            self._remark(result, f"the machine went straight to the point: {target.straight}")
         try:
             await self._ramp(run, target, interrupt, goal, result)
         except RunError as error:
@@ -356,12 +358,16 @@ class WorkingPoints:
             raise RunError(_CODES.MACHINE_LOST, str(error)) from None
         _check(interrupt)
         if answer.error_code != EvaluateSetpoint.Result.NONE:
-            result.error_msg = f"{choice.place.name} was not measured: {answer.error_msg}"
-            context.log.warning(result.error_msg)
+            self._remark(result, f"{choice.place.name} was not measured: {answer.error_msg}")
             return
         means = {name: mean for name, (mean, _) in answer.diagnostics.items()}
         stddevs = {name: stddev for name, (_, stddev) in answer.diagnostics.items()}
         result.measured = named_values(means, units, stddevs)
+
+    def _remark(self, result: GoToWorkingPoint.Result, text: str) -> None:
+        """Say what did not happen as it should, in the log and in the result of a move that succeeds."""
+        self._context.log.warning(text)
+        result.error_msg = f"{result.error_msg}; {text}" if result.error_msg else text
 
 
 @dataclass(frozen=True)
