@@ -8,20 +8,25 @@
     limits      the problem of Tanaka with its two constraints; until a hypervolume of 0.3 is found
     formula     an objective by a formula of readings, ranges around where the machine is; until 0.02 is found
 
-Printed are the evaluations until then, the first five of which are the same for both, `--evaluations` where it was not
+Printed are the evaluations until then, the first five of which are the same for all, `--evaluations` where it was not
 reached. Xopt (`experiments/requirements.txt`) runs with its defaults: expected improvement, and MOBO for two
-objectives; it is told the ranges and the formula's result, which it does not compute. Without Xopt only this project's
-runs are made.
+objectives; it is told the ranges and the formula's result, which it does not compute. Badger (`badger-opt`, beside
+Xopt) carries out the last case as a routine of its own, with its own formula and its own relative ranges, by Xopt's
+expected improvement. A peer that is not installed is left out.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from importlib.util import find_spec
-from typing import Any
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -42,11 +47,15 @@ class Case:
         problem: Problem, resolved where the machine is.
         measure: Function from a set-point and the number of the evaluation to what is measured.
         reached: Function from all set-points and measurements to whether the target is reached.
+        present: Where the machine is, if the ranges depend on that.
+        machine: Ranges of the machine's variables, if so.
     """
 
     problem: Problem
     measure: Callable[[Measured, int], dict[str, float]]
     reached: Callable[[Sequence[Measured]], bool]
+    present: Measured = field(default_factory=dict)
+    machine: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def discrete() -> Case:
@@ -137,7 +146,7 @@ def formula() -> Case:
     def reached(made: Sequence[Measured]) -> bool:
         return min(math.hypot(m["bpm:x"], m["bpm:y"]) for m in made) <= 0.02
 
-    return Case(problem.resolved(present, machine), measure, reached)
+    return Case(problem.resolved(present, machine), measure, reached, present, machine)
 
 
 CASES = {"discrete": discrete, "context": context, "limits": limits, "formula": formula}
@@ -205,22 +214,99 @@ def xopt(case: Case, seed: int, most: int) -> int:
     return len(made)
 
 
+def configure_badger(folder: str) -> None:
+    """Let Badger look for plugins in an empty folder, which it needs although none is used."""
+    from badger.settings import init_settings
+
+    path = Path(folder, "config.yaml")
+    path.write_text(json.dumps({"BADGER_PLUGIN_ROOT": {"value": folder, "is_path": True}}))
+    init_settings(str(path))
+
+
+def badger(case: Case, seed: int, most: int) -> int:
+    """Return the evaluations that Badger needs for a case of derived objectives and relative ranges."""
+    import pandas as pd
+    import torch
+    from badger.core import run_routine
+    from badger.environment import BaseEnvironment
+    from badger.errors import BadgerRunTerminated
+    from badger.routine import Routine, calculate_variable_bounds
+    from xopt.generators.bayesian import ExpectedImprovementGenerator
+    from xopt.vocs import VOCS
+
+    torch.manual_seed(seed)
+    problem, state, made = case.problem, dict(case.present), list[Measured]()
+    formulas = {derived.name: derived.formula for derived in problem.derived}
+
+    class Machine(BaseEnvironment):
+        name = "machine"
+        variables: ClassVar = {name: list(bounds) for name, bounds in case.machine.items()}
+        observables: ClassVar = sorted({i for derived in problem.derived for i in derived.names})
+
+        def get_variables(self, variable_names: list[str]) -> dict[str, float]:
+            return {name: state[name] for name in variable_names}
+
+        def set_variables(self, variable_inputs: dict[str, float]) -> None:
+            state.update(variable_inputs)
+            made.append(case.measure(state, len(made)))
+
+        def get_observables(self, observable_names: list[str]) -> dict[str, float]:
+            return {name: made[-1][name] for name in observable_names}
+
+    options = {
+        v.name: {
+            "limit_option_idx": 1,  # a ratio of the machine's range
+            "ratio_full": (v.maximum - v.minimum) / (v_range[1] - v_range[0]),
+        }
+        for v in problem.variables
+        for v_range in [case.machine[v.name]]
+    }
+    objectives = {formulas[o.name]: o.direction.upper() for o in problem.objectives}
+    machine = Machine()
+    free = VOCS(variables=machine.variables, objectives=objectives)
+    vocs = VOCS(variables=calculate_variable_bounds(options, free, machine), objectives=objectives)
+    routine = Routine(
+        name=f"seed {seed}",
+        environment=machine,
+        generator=ExpectedImprovementGenerator(vocs=vocs),
+        initial_points=pd.DataFrame(begin(case, seed)),
+    )
+    with suppress(BadgerRunTerminated):  # which is how a run of Badger ends
+        run_routine(
+            routine,
+            active_callback=lambda: 2 * (len(made) >= most or case.reached(made)),
+            generate_callback=lambda _: None,
+            evaluate_callback=lambda _: None,
+            states_callback=lambda _: None,
+            verbose=0,
+        )
+    return len(made)
+
+
 def main() -> None:
-    """Print the evaluations of both, case by case, and their medians."""
+    """Print the evaluations of all, case by case, and their medians."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--cases", nargs="+", choices=CASES, default=[*CASES])
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--evaluations", type=int, default=50, help="at most")
     options = parser.parse_args()
-    methods = {"ours": ours} | ({"xopt": xopt} if find_spec("xopt") else {})
-    for name in options.cases:
-        for who, method in methods.items():
-            counts: FloatArray = np.array(
-                [method(CASES[name](), seed, options.evaluations) for seed in range(options.seeds)],
-                dtype=float,
-            )
-            shown = " ".join(f"{count:.0f}" for count in counts)
-            print(f"{name:9} {who:5} median {np.median(counts):g}, of {shown}", flush=True)
+    methods = {"ours": ours} | {p.__name__: p for p in (xopt, badger) if find_spec(p.__name__)}
+    with TemporaryDirectory() as folder:
+        if badger in methods.values():
+            configure_badger(folder)
+        for name in options.cases:
+            for who, method in methods.items():
+                if method is badger and not CASES[name]().machine:
+                    continue
+                counts: FloatArray = np.array(
+                    [
+                        method(CASES[name](), seed, options.evaluations)
+                        for seed in range(options.seeds)
+                    ],
+                    dtype=float,
+                )
+                shown = " ".join(f"{count:.0f}" for count in counts)
+                print(f"{name:9} {who:6} median {np.median(counts):g}, of {shown}", flush=True)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ continues to its end, by itself or by `resume`. The script counts evaluations lo
 hangs, damaged journals and bags, machines at a position that contradicts their policy, and suggestions that differ from
 those of an uninterrupted run.
 
-Results are kept in robustness/.cache: an interrupted campaign continues where it stopped.
+Results are kept in experiments/.cache: an interrupted campaign continues where it stopped.
 """
 
 from __future__ import annotations

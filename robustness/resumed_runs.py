@@ -5,7 +5,7 @@ problem. It runs in a process that is killed (SIGKILL) at one to three random mo
 run folder. At the end, every set-point, measurement and hypervolume and the next suggestion are compared with those of
 a run that was never killed.
 
-Results are kept in robustness/.cache: an interrupted campaign continues where it stopped.
+Results are kept in experiments/.cache: an interrupted campaign continues where it stopped.
 """
 
 from __future__ import annotations

@@ -89,5 +89,10 @@ def test_where_nothing_is_known_nothing_is_predicted() -> None:
     failing = Optimizer(optimizer.problem)
     failing.tell({"x1": 0.0, "x2": 0.0}, {})
     assert failing.predicted_front() == []
+    limited = Problem.from_dict(optimizer.problem.to_dict() | {"constraints": {"g": {"max": 1.0}}})
+    unmeasured = Optimizer(limited)
+    for g in (0.1, 0.2):
+        unmeasured.tell({"x1": g, "x2": 0.0}, {"g": g})
+    assert unmeasured.predicted_front() == []
     hopeless = tuned(constraints={"g": {"max": -100.0}})
     assert hopeless.predicted_front() == []

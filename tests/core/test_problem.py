@@ -94,11 +94,21 @@ def test_a_share_of_the_range_works_where_the_machine_is_at_zero() -> None:
 
 
 @pytest.mark.parametrize(
-    ("entry", "fixed"), [({}, 452.3), ({"step": 0.5}, 452.5), ({"choices": [400.0, 450.0]}, 450.0)]
+    ("entry", "present", "fixed"),
+    [
+        ({}, 452.3, 452.3),
+        ({"step": 0.5}, 452.3, 452.5),
+        ({"step": 1e-5}, 452.300003, 452.3),  # too fine for a range, but there is none
+        ({"step": 40.0}, 600.0, 600.0),
+        ({"step": 42.0}, 599.0, 588.0),  # the nearest multiple is beyond the machine's limit
+        ({"choices": [400.0, 450.0]}, 452.3, 450.0),
+    ],
 )
-def test_a_variable_is_fixed_where_the_machine_is(entry: dict[str, Any], fixed: float) -> None:
+def test_a_variable_is_fixed_where_the_machine_is(
+    entry: dict[str, Any], present: float, fixed: float
+) -> None:
     problem = open_problem(fixed="present", **entry)
-    k1 = problem.resolved({"K1": 452.3}, LIMITS).variables[0]
+    k1 = problem.resolved({"K1": present}, LIMITS).variables[0]
     assert (k1.fixed, k1.at_present) == (fixed, False)
 
 

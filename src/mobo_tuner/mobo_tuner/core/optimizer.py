@@ -408,7 +408,7 @@ class Optimizer:
 
         Returns:
             Set-point, objectives and their standard deviations (`stddevs`) of each point, in their
-            own units; empty if no evaluation is valid or nothing good is predicted.
+            own units; empty if an objective was never measured or nothing good is predicted.
 
         Raises:
             ProblemError: If the size is not an integer of at least 1.
@@ -419,6 +419,8 @@ class Optimizer:
             return []
         models = Models(self.problem, self.settings, self.seed, self._prior_means)
         models.update(self.dataset)
+        if not models.known.all():
+            return []
         rng = np.random.default_rng([self.seed, 3, len(self.dataset)])
         known = self.dataset.inputs[self.archive.belief.front_rows()]
         front = predict_front(self.problem, models, known, rng, size)

@@ -166,7 +166,10 @@ class Variable:
             if self.choices:
                 present = min(self.choices, key=lambda choice: abs(choice - present))
             elif self.step:
-                present = float(f"{round(present / self.step) * self.step:.15g}")
+                multiples = (math.floor(present / self.step), math.ceil(present / self.step))
+                nearest = sorted(multiples, key=lambda k: abs(k * self.step - present))
+                values = [float(f"{k * self.step:.15g}") for k in nearest]
+                present = next((value for value in values if low <= value <= high), present)
             return replace(self, fixed=present, at_present=False)
         around = self.around
         if isinstance(around, str):

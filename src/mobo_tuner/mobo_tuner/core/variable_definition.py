@@ -63,7 +63,8 @@ def read_variable(name: str, entry: Mapping[str, Any], section: str = "variables
     approach = _not_negative(where, entry, "approach", 0.0)
     if fixed is not None and not low <= fixed <= high:
         raise ProblemError(f"{where}.fixed is {fixed:g}; {low:g} to {high:g} is allowed")
-    step = _step(where, entry, low, high)  # of an open variable, checked once that is resolved
+    # Of an open variable it is checked once that is resolved; one that stays where it is needs no grid.
+    step = _step(where, entry, *((-math.inf, math.inf) if fixed is not None else (low, high)))
     if step and choices:
         raise ProblemError(f"{where} has a step and choices; one of the two is allowed")
     unit = as_string(f"{where}.unit", entry.get("unit", ""))
