@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-import statistics
 import time
+
+import numpy as np
 
 from mobo_tuner.client import Evaluation, Front, Status
 from mobo_tuner.core.problem import Problem
+from mobo_tuner.displays.evaluations import EvaluationTable, Floats
 
 
 class RunProgress:
@@ -16,29 +18,26 @@ class RunProgress:
     Attributes:
         budget: Number of evaluations asked for; 0 until it is known.
         last: Evaluation that came last; None before the first.
-        evaluations: Number of finished evaluations.
+        made: All evaluations, in the order of their arrival.
         status: Status that the tuner published last.
     """
 
     def __init__(self, budget: int = 0) -> None:
         self.budget = budget
         self.last: Evaluation | None = None
-        self.evaluations = 0
+        self.made = EvaluationTable()
         self.status = Status("unknown")
         self._front_size = 0
         self._ranges: dict[str, tuple[float, float]] = {}
         self._started = time.monotonic()
         self._problem: Problem | None = None
-        self._made: list[Evaluation] = []
         self._best: dict[str, tuple[float, int]] = {}
-        self._suggest_seconds: list[float] = []
-        self._total_seconds: list[float] = []
 
     def set_problem(self, problem: Problem) -> None:
         """Take over what is tuned, by which all evaluations so far are judged again."""
         self._problem = problem
         self._best.clear()
-        for evaluation in self._made:
+        for evaluation in self.made:
             self._judge(evaluation)
 
     def set_status(self, status: Status) -> None:
@@ -59,15 +58,17 @@ class RunProgress:
     def add(self, evaluation: Evaluation) -> None:
         """Take over one evaluation."""
         self.last = evaluation
-        self.evaluations += 1
-        self._made.append(evaluation)
+        self.made.add(evaluation)
         self._judge(evaluation)
-        self._suggest_seconds.append(evaluation.suggest_seconds)
-        self._total_seconds.append(evaluation.total_seconds)
 
     def best(self, name: str) -> tuple[float, int] | None:
         """Return the best feasible value of an objective and the index of its evaluation."""
         return self._best.get(name)
+
+    @property
+    def evaluations(self) -> int:
+        """Number of finished evaluations."""
+        return len(self.made)
 
     @property
     def goals(self) -> dict[str, float]:
@@ -92,21 +93,21 @@ class RunProgress:
     @property
     def hypervolumes(self) -> list[float]:
         """Hypervolume after each evaluation."""
-        return [evaluation.hypervolume for evaluation in self._made]
+        return [*map(float, self.made.numbers("hypervolume"))]
 
     @property
     def failed(self) -> int:
         """Number of evaluations that failed, by the problem as it is now."""
         if self._is_current:
             return self.status.failed
-        return sum(not evaluation.valid for evaluation in self._made)
+        return int(np.sum(self.made.numbers("valid") == 0.0))
 
     @property
     def feasible(self) -> int:
         """Number of evaluations that are feasible, by the problem as it is now."""
         if self._is_current:
             return self.status.feasible
-        return sum(self._is_feasible(evaluation) for evaluation in self._made)
+        return sum(self._is_feasible(evaluation) for evaluation in self.made)
 
     @property
     def hypervolume(self) -> float:
@@ -123,7 +124,7 @@ class RunProgress:
     @property
     def suggest_median(self) -> float:
         """Median wall time of a suggestion [s]; NaN before the first."""
-        return _median(self._suggest_seconds)
+        return _median(self.made.numbers("suggest_seconds"))
 
     @property
     def seconds(self) -> float:
@@ -133,7 +134,7 @@ class RunProgress:
     @property
     def seconds_left(self) -> float:
         """Time that the rest of the budget will take [s]; NaN before the first evaluation."""
-        return max(self.budget - self.evaluations, 0) * _median(self._total_seconds)
+        return max(self.budget - self.evaluations, 0) * _median(self.made.numbers("total_seconds"))
 
     @property
     def _is_current(self) -> bool:
@@ -160,8 +161,8 @@ class RunProgress:
         return evaluation.valid and measured and self._problem.is_feasible(means)
 
 
-def _median(values: list[float]) -> float:
-    return statistics.median(values) if values else math.nan
+def _median(values: Floats) -> float:
+    return float(np.median(values)) if len(values) else math.nan
 
 
 def contexts_text(status: Status) -> str:

@@ -78,19 +78,16 @@ class RunBoard:
     def __init__(self, run_id: str) -> None:
         self.run_id = run_id
         self.progress = RunProgress()
-        self.evaluations: list[Evaluation] = []
+        self.evaluations = self.progress.made
         self.problem: Problem | None = None
         self.front: Front | None = None
         self.gained_at = 0
         self._best_hypervolume = 0.0
-        self._seen: set[int] = set()
 
     def add(self, evaluation: Evaluation) -> bool:
         """Take over an evaluation; return whether it is new."""
-        if evaluation.index in self._seen:
+        if self.evaluations.position(evaluation.index) is not None:
             return False
-        self._seen.add(evaluation.index)
-        self.evaluations.append(evaluation)
         self.progress.add(evaluation)
         if evaluation.hypervolume > self._best_hypervolume:
             self._best_hypervolume = evaluation.hypervolume
@@ -106,11 +103,14 @@ class RunBoard:
         for point in self.front.points if self.front is not None else ():
             if point.index == index:
                 return point
-        for evaluation in self.evaluations:
-            if evaluation.index == index and evaluation.valid and evaluation.feasible:
-                stddevs = {name: evaluation.stddev(name) for name in evaluation.objectives}
-                return Point(index, evaluation.setpoint, evaluation.objectives, stddevs)
-        return None
+        position = self.evaluations.position(index)
+        if position is None:
+            return None
+        evaluation = self.evaluations[position]
+        if not (evaluation.valid and evaluation.feasible):
+            return None
+        stddevs = {name: evaluation.stddev(name) for name in evaluation.objectives}
+        return Point(index, evaluation.setpoint, evaluation.objectives, stddevs)
 
     @property
     def without_gain(self) -> int:

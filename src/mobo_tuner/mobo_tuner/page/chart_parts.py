@@ -256,7 +256,7 @@ def marks(data: Sequence[Options], colours: Colours) -> Options:
 def thinned(items: Sequence[Any]) -> list[Any]:
     """Return items, evenly thinned out if there are many; the last one stays."""
     step = math.ceil(len(items) / MAX_POINTS) or 1
-    return [*items[::-1][::step]][::-1]
+    return [items[i] for i in range((len(items) - 1) % step, len(items), step)]
 
 
 def finite(value: float) -> float | None:

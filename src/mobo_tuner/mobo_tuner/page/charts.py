@@ -9,8 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
+import numpy as np
+
 from mobo_tuner.client import Evaluation, Point
 from mobo_tuner.core.problem import Objective, Problem, Variable
+from mobo_tuner.displays.evaluations import Number
 from mobo_tuner.displays.settings import labelled
 from mobo_tuner.page.board import RunBoard
 from mobo_tuner.page.chart_parts import (
@@ -59,44 +62,48 @@ def front(
     assert problem is not None
     objectives = {o.name: o for o in problem.objectives}
     points = run.front.points if run.front is not None else ()
-    on_front = {point.index for point in points}
-    others: list[Options] = []
-    infeasible: list[Options] = []
-    failed: list[Options] = []
-    for evaluation in run.evaluations:
-        if evaluation.index in on_front:
-            continue
-        place = _evaluated(evaluation, x, y, problem)
-        if place is not None:
-            group = (
-                failed if not evaluation.valid else others if evaluation.feasible else infeasible
-            )
-            group.append(place)
+    on_front = [point.index for point in points if point.index is not None]
+    evaluations = run.evaluations
+    across, up = evaluations.objectives(x), evaluations.objectives(y)
+    valid, feasible = evaluations.numbers("valid") > 0.0, evaluations.numbers("feasible") > 0.0
+    drawable = np.isfinite(across) & np.isfinite(up)
+    drawable &= ~np.isin(evaluations.numbers("index"), on_front)
+    is_other = drawable & valid & feasible
+    groups = [
+        np.flatnonzero(group).tolist()
+        for group in (is_other, drawable & valid & ~feasible, drawable & ~valid)
+    ]
+
+    def places(positions: Iterable[int]) -> list[Options]:
+        return [_evaluated(evaluations[i], x, y, problem) for i in positions]
+
+    others, infeasible, failed = (places(thinned(group)) for group in groups)
     drawn = [
         (_front_point(p, x, y, problem) | ({} if wanted(p) else FAINT), _guessed(p, x, y))
         for p in points
     ]
     measured_points = [point for point, is_guessed in drawn if not is_guessed]
     guessed = [point for point, is_guessed in drawn if is_guessed]
-    ends = [_evaluated(evaluation, x, y, problem) for evaluation in run.evaluations[-1:]]
-    last = [point for point in ends if point is not None]
-    ring = [p for p in (*measured_points, *guessed, *others) if p["value"][2] == chosen]
+    end = len(evaluations) - 1
+    last = places([end] if end >= 0 and math.isfinite(across[end] + up[end]) else [])
+    ring = [p for p in (*measured_points, *guessed) if p["value"][2] == chosen]
+    ring += places(i for i in groups[0] if i == evaluations.position(chosen))
     shown = {"model": guessed, "feasible": others, "infeasible": infeasible, "failed": failed}
-    used = [*measured_points, *guessed, *others, *last] or [*infeasible, *failed]
+    used = [p["value"] for p in (*measured_points, *guessed, *last)]
+    used += zip(across[is_other].tolist(), up[is_other].tolist(), strict=True)
+    used = used or [p["value"] for p in (*infeasible, *failed)]
     return options(
         colours,
         grid=[{"left": 62, "right": 20, "top": 42, "bottom": 46}],
         legend=legend(
             colours, ["front", *(name for name, group in shown.items() if group), "last"]
         ),
-        xAxis=[_objective_axis(objectives[x], [p["value"][0] for p in used], colours, 28)],
-        yAxis=[_objective_axis(objectives[y], [p["value"][1] for p in used], colours, 46)],
+        xAxis=[_objective_axis(objectives[x], [value[0] for value in used], colours, 28)],
+        yAxis=[_objective_axis(objectives[y], [value[1] for value in used], colours, 46)],
         series=[
-            scatter("feasible", thinned(others), "circle", 6, colours.others, opacity=0.75),
-            scatter("infeasible", thinned(infeasible), "triangle", 9, colours.infeasible),
-            scatter(
-                "failed", thinned(failed), "path://M0,0L8,8M8,0L0,8", 9, colours.failed, line=2
-            ),
+            scatter("feasible", others, "circle", 6, colours.others, opacity=0.75),
+            scatter("infeasible", infeasible, "triangle", 9, colours.infeasible),
+            scatter("failed", failed, "path://M0,0L8,8M8,0L0,8", 9, colours.failed, line=2),
             scatter("model", guessed, "emptyCircle", 13, colours.front, line=2),
             {
                 **scatter("front", measured_points, "circle", 14, colours.front),
@@ -119,9 +126,7 @@ def front(
 
 def hypervolume(run: RunBoard, colours: Colours) -> Options:
     """Return the plot of the hypervolume over the evaluations."""
-    evaluations = thinned(run.evaluations)
-    modelled = [[e.index + 1, finite(e.hypervolume)] for e in evaluations]
-    plain = [[e.index + 1, finite(e.hypervolume_measured)] for e in evaluations]
+    modelled, plain = _course(run, "hypervolume"), _course(run, "hypervolume_measured")
     plot = options(
         colours,
         grid=[{"left": 62, "right": 20, "top": 42, "bottom": 46}],
@@ -144,7 +149,7 @@ def compared(runs: Sequence[RunBoard], colours: Colours) -> Options:
     lines = [
         curve(
             run.run_id,
-            [[e.index + 1, finite(e.hypervolume)] for e in thinned(run.evaluations)],
+            _course(run, "hypervolume"),
             PALETTE[i % len(PALETTE)],
             width=3,
             dashed=i >= len(PALETTE),
@@ -162,6 +167,13 @@ def compared(runs: Sequence[RunBoard], colours: Colours) -> Options:
     plot["tooltip"] |= {"trigger": "axis"}
     del plot["tooltip"]["formatter"]
     return plot
+
+
+def _course(run: RunBoard, field: Number) -> list[list[float | None]]:
+    """Return a field of the evaluations over their number."""
+    counts, values = (run.evaluations.numbers(name).tolist() for name in ("index", field))
+    pairs = zip(thinned(counts), thinned(values), strict=True)
+    return [[int(index) + 1, finite(value)] for index, value in pairs]
 
 
 def parallel(run: RunBoard, chosen: int | None, colours: Colours) -> Options:
@@ -276,11 +288,9 @@ def _box(x: Objective, y: Objective, colours: Colours) -> Options:
     return {"silent": True, "itemStyle": style, "data": [corners] if any(corners) else []}
 
 
-def _evaluated(evaluation: Evaluation, x: str, y: str, problem: Problem) -> Options | None:
-    """Return an evaluation as a point; None if one of the objectives was not measured."""
-    values = [evaluation.objectives.get(name, math.nan) for name in (x, y)]
-    if not all(map(math.isfinite, values)):
-        return None
+def _evaluated(evaluation: Evaluation, x: str, y: str, problem: Problem) -> Options:
+    """Return an evaluation as a point."""
+    values = [evaluation.objectives[name] for name in (x, y)]
     lines = [f"evaluation {evaluation.index}", *setpoint_lines(evaluation.setpoint, problem)]
     return {"name": "\n".join(lines), "value": [*values, evaluation.index]}
 

@@ -88,7 +88,7 @@ class FrontPanel:
         """Return why there is no front."""
         if not run.evaluations:
             return "nothing was evaluated yet"
-        if not any(evaluation.feasible for evaluation in run.evaluations):
+        if not run.evaluations.numbers("feasible").any():
             return "no point is feasible yet"
         return "no feasible point is better than the reference yet"
 

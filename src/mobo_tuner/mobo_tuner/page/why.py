@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 from nicegui import background_tasks, ui
 
 from mobo_tuner.core.problem import Problem
@@ -111,8 +111,8 @@ class ConstraintsPanel:
         rows = []
         for constraint in run.problem.constraints:
             name = constraint.name
-            values = [e.diagnostics.get(name, (math.nan, math.nan))[0] for e in run.evaluations]
-            measured = [value for value in values if math.isfinite(value)]
+            values = run.evaluations.diagnostics(name)
+            measured = [*map(float, values[np.isfinite(values)])]
             met = sum(map(constraint.is_met, measured))
             last = "–" if not measured else number(measured[-1], 4)
             share = f"met in {met} of {len(measured)}"

@@ -62,7 +62,12 @@ class Topic:
         )
 
     def subscription(
-        self, node: Node, callback: Callable[[Any], None], quantity: str = ""
+        self,
+        node: Node,
+        callback: Callable[[Any], None],
+        quantity: str = "",
+        *,
+        raw: bool = False,
     ) -> Subscription:
         """Create a subscription.
 
@@ -70,8 +75,11 @@ class Topic:
             node: Node that subscribes.
             callback: Function that takes the messages.
             quantity: Name of the quantity, if the topic's name has a part for it.
+            raw: Whether the messages stay serialised.
         """
-        return node.create_subscription(self.kind, self._name_of(quantity), callback, self.qos)
+        return node.create_subscription(
+            self.kind, self._name_of(quantity), callback, self.qos, raw=raw
+        )
 
     def _name_of(self, quantity: str) -> str:
         before, opening, rest = self.name.partition("<")
