@@ -13,9 +13,12 @@ import re
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from mobo_tuner.core.linear_algebra import FloatArray
 from mobo_tuner.core.values import LARGEST, ProblemError, check_name
 
 LONGEST = 500
@@ -47,6 +50,22 @@ _REFUSED = (
     *(ast.BitAnd, ast.BitOr, ast.BitXor, ast.LShift, ast.RShift, ast.Invert, ast.MatMult),
     *(ast.Is, ast.IsNot, ast.In, ast.NotIn),
 )
+
+_CHOICES = (ast.BoolOp, ast.Compare, ast.IfExp, ast.Not)
+_OPERATORS_OF_ARRAYS: Mapping[type[ast.AST], Callable[..., Any]] = {
+    **{ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.true_divide},
+    **{ast.FloorDiv: np.floor_divide, ast.Mod: np.mod, ast.Pow: np.float_power},
+    **{ast.USub: np.negative, ast.UAdd: np.positive},
+}
+_FUNCTIONS_OF_ARRAYS: Mapping[str, Callable[..., Any]] = {
+    **{name: getattr(np, name) for name in ("sqrt", "exp", "log10", "sin", "cos", "tan")},
+    **{name: getattr(np, name) for name in ("sinh", "cosh", "tanh", "radians", "degrees", "abs")},
+    **{"asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "atan2": np.arctan2},
+    "log": lambda value, *base: np.log(value) / (np.log(base[0]) if base else 1.0),
+    "hypot": lambda *values: reduce(np.hypot, values),
+    "min": lambda *values: reduce(np.minimum, values),
+    "max": lambda *values: reduce(np.maximum, values),
+}
 
 Reading = tuple[float, float]
 
@@ -133,6 +152,36 @@ class Derived:
             return Result(math.nan, reason=f"{self.name} = {self.formula} is {reason} at {where}")
         squares = [self._contribution(means, name, known[name][1], value) for name in self.names]
         return Result(value, math.sqrt(math.fsum(square**2 for square in squares)))
+
+    @cached_property
+    def has_choices(self) -> bool:
+        """Whether the formula has a comparison, a choice or an "and" or "or", so that it may jump."""
+        return any(isinstance(node, _CHOICES) for node in ast.walk(self._tree))
+
+    def over(self, columns: Mapping[str, FloatArray]) -> FloatArray:
+        """Return the quantity for many readings at once; NaN where it is undefined.
+
+        Args:
+            columns: Readings of the quantities by name, all of one shape.
+
+        Returns:
+            The quantity, in their shape.
+
+        Raises:
+            ValueError: If the formula has choices.
+        """
+        from simpleeval import SimpleEval
+
+        if self.has_choices:
+            raise ValueError(f"{self._where} has a choice: it is evaluated one by one")
+        known = {**columns, **{i: columns[n] for i, n in self._quoted.items()}}
+        evaluator = SimpleEval(_OPERATORS_OF_ARRAYS, _FUNCTIONS_OF_ARRAYS, {**CONSTANTS, **known})
+        handlers: Mapping[Any, Callable[[ast.AST], Any]] = evaluator.nodes
+        evaluator.nodes = {kind: handlers[kind] for kind in _NODES if kind is not ast.Expression}
+        with np.errstate(all="ignore"):
+            values = evaluator.eval(self.formula, previously_parsed=self._tree.body)
+        values = np.broadcast_to(values, next(iter(columns.values())).shape)
+        return np.where(np.abs(values) <= LARGEST, values, np.nan)
 
     def _contribution(
         self, means: Mapping[str, float], name: str, stddev: float, value: float

@@ -12,6 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mobo_tuner.core.composition import (
+    ComposedProcess,
+    better_by_parts,
+    composed_processes,
+    compositions,
+)
 from mobo_tuner.core.context import ContextInputs
 from mobo_tuner.core.dataset import BoolArray, Dataset
 from mobo_tuner.core.gaussian_process import GaussianProcess
@@ -63,6 +69,7 @@ class Models:
         self._selection = Selection(self._seconds)
         self._seed = seed
         self._means = PriorMeans(problem, {} if prior_means is None else prior_means)
+        self._compositions = compositions(problem, self._means)
         self._settings = settings
         self._steadiness = Steadiness(settings.noise, settings.drift)
         self._context = ContextInputs.of(Dataset(problem), self.drifts, settings.drift_time)
@@ -71,6 +78,8 @@ class Models:
             name: OutputModel(name, signs.get(name, 1.0), process, self._selection)
             for name, process in self._untrained().items()
         }
+        self.by_parts: frozenset[str] = frozenset()  # derived quantities predicted by their parts
+        self._composed: dict[str, ComposedProcess] = {}
         self.validity = ValidityModel(self._one_hot, self._context.fidelities)
         self._judged = 0  # number of evaluations that the model of validity holds
         self._trained = 0  # number of evaluations with an output at the last training
@@ -98,7 +107,8 @@ class Models:
         }
         # A constrained diagnostic has no reference point; its mean is that of the data.
         constrained = replace(plain, mean="data") if plain.mean == "reference" else plain
-        for name in self._problem.required_diagnostics:
+        parts = [name for c in self._compositions.values() for name in c.parts]
+        for name in dict.fromkeys([*self._problem.required_diagnostics, *parts]):
             if name not in processes:
                 processes[name] = GaussianProcess(
                     constrained,
@@ -127,7 +137,11 @@ class Models:
     @property
     def objectives(self) -> list[GaussianProcess]:
         """Models of the minimised objectives, in the problem's order."""
-        return [self._outputs[name].process for name in self._problem.objective_names]
+        return [self._predictor(name) for name in self._problem.objective_names]
+
+    def _predictor(self, name: str) -> GaussianProcess:
+        """Return what predicts an output: its process, or those of the parts of its formula."""
+        return self._composed.get(name) or self._outputs[name].process
 
     def expects_news(self, x: Array, nearest: Array) -> bool:
         """Return whether some output may read differently at x than at a measured point.
@@ -152,7 +166,7 @@ class Models:
     @property
     def by_output(self) -> dict[str, GaussianProcess]:
         """Models of every objective, as it is minimised, and of every constrained diagnostic, by name."""
-        return {name: output.process for name, output in self._outputs.items()}
+        return {name: self._predictor(name) for name in self._problem.required_diagnostics}
 
     @property
     def learned(self) -> list[OutputModel]:
@@ -168,7 +182,7 @@ class Models:
             output = self._outputs[constraint.name]
             if output.sign < 0.0:
                 ends = (-ends[1], -ends[0])
-            limits.append((output.name, output.process, *ends))
+            limits.append((output.name, self._predictor(output.name), *ends))
         return limits
 
     @property
@@ -338,10 +352,19 @@ class Models:
                 )
                 if self.drifts != self._context.timed and not self._is_hurried:
                     return self._learn(data, train, restarts, again=True)
-            self._steadiness = self._steadiness.with_noise_of(self.by_output.values(), deadline)
+            self._steadiness = self._steadiness.with_noise_of(
+                [output.process for output in self._outputs.values()], deadline
+            )
             if self._steadiness.learns_noise and not noisy and not self._is_hurried:
-                self._learn(data, train, restarts, again=True)
+                return self._learn(data, train, restarts, again=True)
+        if train:
+            self.by_parts = better_by_parts(self._compositions, self._outputs, data, inputs)
+        self._compose()
         return trained
+
+    def _compose(self) -> None:
+        """Let those derived quantities be predicted by their parts that are better so."""
+        self._composed = composed_processes(self._compositions, self.by_parts, self._outputs)
 
     def _timed_outputs(self, data: Dataset) -> Iterator[tuple[GaussianProcess, Array]]:
         """Yield the process of each output, and when its observations were measured ``(n,)``."""
@@ -400,7 +423,9 @@ class Models:
             output.learn_again(
                 data, inputs, output.held(data, inputs, self._held, self._trained_rows)
             )
+        self.by_parts = frozenset()  # until the next training
         self._set_now(data)
+        self._compose()
         self._outdated = self._judged > 0
 
     def get_state(self) -> dict[str, Any]:
@@ -421,7 +446,8 @@ class Models:
                 if len(output.suspects)
             },
             "validity": self.validity.get_state(),
-            "processes": {name: p.get_state() for name, p in self.by_output.items()},
+            "by_parts": sorted(self.by_parts),
+            "processes": {name: o.process.get_state() for name, o in self._outputs.items()},
         }
 
     def set_state(self, state: dict[str, Any], data: Dataset) -> None:
@@ -476,7 +502,11 @@ class Models:
             )
             if process.n != len(rows) or process.contexts != self._context.count:
                 raise ProblemError(f"the state lacks what the model of '{name}' was fitted to")
+        self.by_parts = frozenset(state.get("by_parts", ()))
+        if not self.by_parts <= self._compositions.keys():
+            raise ProblemError("the state predicts quantities by parts that there are not")
         self._set_now(data)
+        self._compose()
 
 
 def _located(data: Dataset) -> Array:
