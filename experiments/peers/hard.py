@@ -14,6 +14,7 @@ may be based on these, on the paper's toy, on DTLZ2 and on the injector, and on 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -112,6 +113,87 @@ def needle(d: int, n_objectives: int, share: float = 0.02) -> Benchmark:
     return _benchmark(d, reference, objectives, excess)
 
 
+def steep(d: int, decades: float = 2.5, share: float = 0.2) -> Benchmark:
+    """Return distances with a constraint whose logarithm is smooth and spans so many decades where it is missed.
+
+    Args:
+        d: Number of variables.
+        decades: Decades of the readings beyond the limit, roughly.
+        share: Share of the box that meets the constraint.
+    """
+    centres = _centres(d, 2, 0.9)
+    direction = np.linspace(1.0, -0.6, d)
+
+    def height(x: FloatArray) -> FloatArray:
+        wavy = 0.2 * np.sin(4.0 * x[:, 0] + 1.0) * np.cos(3.0 * x[:, -1])
+        return np.asarray(x @ direction / np.sqrt(d) + 0.4 * np.square(x).mean(axis=1) + wavy)
+
+    edge, top = np.quantile(height(_sample(d)), [share, 1.0])
+
+    def excess(x: FloatArray) -> FloatArray:
+        return np.asarray(10.0 ** (decades * (height(x) - edge) / (top - edge)) - 1.0)
+
+    def objectives(x: FloatArray) -> FloatArray:
+        return np.asarray(np.linalg.norm(x[:, None] - centres, axis=2))
+
+    reference = np.quantile(objectives(_sample(d)), 0.8, axis=0)
+    return _benchmark(d, reference, objectives, excess)
+
+
+def ledge(d: int, share: float = 0.25, fall: float = 20.0) -> Benchmark:
+    """Return distances with a constraint that is nearly flat where it is met, and read far away beyond a cliff.
+
+    Args:
+        d: Number of variables.
+        share: Share of the box that meets the constraint.
+        fall: Height of the cliff, in units of what the constraint is met by.
+    """
+    centres = _centres(d, 2, 0.9)
+    direction = np.linspace(-0.5, 1.0, d)
+
+    def height(x: FloatArray) -> FloatArray:
+        return np.asarray(np.square(x - 0.2 * direction).mean(axis=1) + 0.3 * x @ direction / d)
+
+    edge = float(np.quantile(height(_sample(d)), share))
+
+    def excess(x: FloatArray) -> FloatArray:
+        beyond = (height(x) - edge) / 0.08
+        return np.asarray(0.3 * beyond + fall / (1.0 + np.exp(-(beyond - 1.5) / 0.4))) / 2.0 - 0.25
+
+    def objectives(x: FloatArray) -> FloatArray:
+        return np.asarray(np.linalg.norm(x[:, None] - centres, axis=2))
+
+    reference = np.quantile(objectives(_sample(d)), 0.8, axis=0)
+    return _benchmark(d, reference, objectives, excess)
+
+
+def slender(d: int) -> Benchmark:
+    """Return cost and compliance of thicknesses that span a factor of 50, with limits of the load on pairs of them."""
+    weights = np.linspace(1.0, 0.5, d)
+
+    def thickness(x: FloatArray) -> FloatArray:
+        return np.asarray(0.1 + 2.45 * (np.clip(x, -1.0, 1.0) + 1.0))
+
+    def objectives(x: FloatArray) -> FloatArray:
+        t = thickness(x)
+        cost = t @ weights + 0.3 * t[:, 0] * t[:, -1]
+        return np.stack(
+            [cost, 1.0 / t[:, 0] + 1.0 / t[:, -1] ** 2 + 0.05 * t[:, 1:-1].mean(axis=1)], axis=1
+        )
+
+    def load(x: FloatArray, j: int) -> FloatArray:
+        t = thickness(x)
+        return np.asarray(1.5 / (t[:, j] * t[:, j + 1]) + 0.2 * t[:, j] - 1.0)
+
+    definition = _benchmark(d, np.array([14.0, 2.5]), objectives).problem.to_dict()
+    definition["constraints"] = {f"g{j}": {"max": 0.0} for j in range(d - 1)}
+    return Benchmark(
+        Problem.from_dict(definition),
+        objectives,
+        others={f"g{j}": partial(load, j=j) for j in range(d - 1)},
+    )
+
+
 def _sample(d: int) -> FloatArray:
     return np.random.default_rng(d).uniform(-1.0, 1.0, (20_000, d))
 
@@ -151,5 +233,11 @@ HARD: dict[str, Callable[[], Benchmark]] = {
     "cliff_4_3": lambda: cliff(4, 3),
     "needle_3_2": lambda: needle(3, 2),
     "needle_4_2": lambda: needle(4, 2),
+    "steep_2_2": lambda: steep(2),
+    "steep_3_2": lambda: steep(3),
+    "steep_4_2": lambda: steep(4, 3.5),
+    "ledge_2_2": lambda: ledge(2),
+    "ledge_4_2": lambda: ledge(4),
+    "slender_4_2": lambda: slender(4),
 }
 """The problems by kind, number of variables and number of objectives."""

@@ -13,7 +13,9 @@
 .. [Jain2014] H. Jain, K. Deb, "An evolutionary many-objective optimization algorithm using reference-point based
    nondominated sorting approach, part II", IEEE Trans. Evol. Comput. 18, 602 (2014): C2-DTLZ2.
 .. [Deb2001] K. Deb, "Multi-objective optimization using evolutionary algorithms", Wiley (2001), sections 8.2 and 8.3:
-   Binh and Korn's, Srinivas and Deb's, Tanaka's, Osyczka and Kundu's and Kursawe's problems.
+   Binh and Korn's, Srinivas and Deb's, Tanaka's, Osyczka and Kundu's and Kursawe's problems, a cantilever and a truss.
+.. [Osyczka1985] A. Osyczka, "Multicriteria optimization for engineering design", in Design Optimization, Academic
+   Press (1985), 193-227: the I-beam.
 .. [Deb2002] K. Deb, L. Thiele, M. Laumanns, E. Zitzler, "Scalable multi-objective optimization test problems",
    CEC 2002: DTLZ7.
 """
@@ -336,6 +338,71 @@ def osy() -> Benchmark:
     return _benchmark(bounds, [0.0, 80.0], objectives, constraints)
 
 
+def cantilever() -> Benchmark:
+    """Return mass and deflection of a loaded rod, whose stress and deflection are limited [Deb2001]_."""
+    load, stiffness, density, strength, most_bent = 1e3, 207e9, 7800.0, 300e6, 5e-3
+
+    def deflection(x: FloatArray) -> FloatArray:
+        d, length = 1e-3 * x.T
+        return np.asarray(64.0 * load * length**3 / (3.0 * math.pi * stiffness * d**4))
+
+    def objectives(x: FloatArray) -> FloatArray:
+        d, length = 1e-3 * x.T
+        return np.stack([density * math.pi * d**2 * length / 4.0, 1e3 * deflection(x)], axis=1)
+
+    def constraints(x: FloatArray) -> FloatArray:
+        d, length = 1e-3 * x.T
+        stress = 32.0 * load * length / (math.pi * d**3)
+        return np.stack([stress / strength - 1.0, deflection(x) / most_bent - 1.0], axis=1)
+
+    return _benchmark([(10.0, 50.0), (200.0, 1000.0)], [4.0, 3.0], objectives, constraints)
+
+
+def i_beam() -> Benchmark:
+    """Return cross-section and deflection of an I-beam, whose stress has a limit [Osyczka1985]_."""
+
+    def inertia(x: FloatArray) -> FloatArray:
+        height, width, web, flange = x.T
+        inner = height - 2.0 * flange
+        return np.asarray(
+            web * inner**3 + 2.0 * width * flange * (4.0 * flange**2 + 3.0 * height * inner)
+        )
+
+    def objectives(x: FloatArray) -> FloatArray:
+        height, width, web, flange = x.T
+        area = 2.0 * width * flange + web * (height - 2.0 * flange)
+        return np.stack([area, 60000.0 / inertia(x)], axis=1)
+
+    def constraints(x: FloatArray) -> FloatArray:
+        height, width, web, flange = x.T
+        across = (height - 2.0 * flange) * web**3 + 2.0 * flange * width**3
+        stress = 180000.0 * height / inertia(x) + 15000.0 * width / across
+        return (stress / 16.0 - 1.0)[:, None]
+
+    bounds = [(10.0, 80.0), (10.0, 50.0), (0.9, 5.0), (0.9, 5.0)]
+    return _benchmark(bounds, [700.0, 0.06], objectives, constraints)
+
+
+def truss() -> Benchmark:
+    """Return volume and stress of the longer one of two bars; no bar's stress may exceed a limit [Deb2001]_."""
+
+    def stresses(x: FloatArray) -> FloatArray:
+        a, b, y = x.T
+        return np.stack(
+            [20.0 * np.sqrt(16.0 + y**2) / (y * a), 80.0 * np.sqrt(1.0 + y**2) / (y * b)], axis=1
+        )
+
+    def objectives(x: FloatArray) -> FloatArray:
+        a, b, y = x.T
+        volume = a * np.sqrt(16.0 + y**2) + b * np.sqrt(1.0 + y**2)
+        return np.stack([volume, stresses(x)[:, 0]], axis=1)
+
+    bounds = [(1e-4, 0.01), (1e-4, 0.01), (1.0, 3.0)]
+    return _benchmark(
+        bounds, [0.06, 1e5], objectives, lambda x: stresses(x).max(axis=1, keepdims=True) - 1e5
+    )
+
+
 def kursawe() -> Benchmark:
     """Return Kursawe's problem in three variables, rough and with a front in pieces [Deb2001]_."""
 
@@ -402,6 +469,9 @@ PROBLEMS: dict[str, Callable[[], Benchmark]] = {
     "srn": srn,
     "tnk": tnk,
     "osy": osy,
+    "cantilever": cantilever,
+    "i_beam": i_beam,
+    "truss": truss,
     "kursawe": kursawe,
     "dtlz7": dtlz7,
     "awa_2": lambda: awa_variant(("eps_x", "dE")),

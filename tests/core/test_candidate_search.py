@@ -127,6 +127,23 @@ def test_while_the_front_stands_still_every_second_evaluation_explores() -> None
     assert gaps[-1] > np.quantile(gaps, 0.8)
 
 
+@pytest.mark.parametrize(("missed", "explores"), [(0, True), (2, False)])
+def test_while_only_a_constraint_is_missed_nothing_is_explored(missed: int, explores: bool) -> None:
+    """What is promised, but misses a constraint, is learned there."""
+    optimizer = Optimizer(
+        with_changes(constraints={"g": {"max": 0.0}}), seed=0, initial_evaluations=4
+    )
+    tune(optimizer, 4, lambda x: toy(x) | {"g": -1.0})
+    for step in range(6):
+        g = 0.05 if step >= 6 - missed else -1.0
+        optimizer.tell(optimizer.ask(), {"f1": 4.29, "f2": 4.29, "g": g})
+    known = optimizer.dataset.inputs
+    asked = optimizer.problem.normalize(optimizer.ask())
+    points = np.random.default_rng(1).uniform(-1.0, 1.0, (1000, 2))
+    gaps = [np.linalg.norm(known - point, axis=1).min() for point in (*points, asked)]
+    assert (gaps[-1] > np.quantile(gaps, 0.8)) == explores
+
+
 def test_proximal_biasing_shortens_the_steps() -> None:
     lengths = []
     for proximal in (None, 4.0):

@@ -3,6 +3,7 @@ import pytest
 from scipy.stats import norm
 
 from mobo_tuner.core.output_scaling import OutputScaling, has_heavy_tail
+from mobo_tuner.core.output_transform import Logarithm, SignedLogarithm
 
 
 def test_standardised_residuals_have_no_mean_and_unit_spread():
@@ -50,7 +51,7 @@ def test_mean_function_and_its_gradients():
     np.testing.assert_allclose(residuals, x[:, 0] - x[:, 0].mean())
     expected = np.column_stack([np.cos(x[:, 0]) * x[:, 1], np.sin(x[:, 0])])
     np.testing.assert_allclose(scaling.prior_mean_gradient(x), expected, rtol=1e-8)
-    given = OutputScaling(False, 0.0, 1.0, mean, lambda x: 2.0 * x)
+    given = OutputScaling(None, 0.0, 1.0, mean, lambda x: 2.0 * x)
     np.testing.assert_array_equal(given.prior_mean_gradient(x), 2.0 * x)
 
 
@@ -62,21 +63,21 @@ def test_perfect_mean_function():
 
 
 def test_noise_of_a_logarithm_is_relative():
-    scaling = OutputScaling(True, 0.0, 0.5)
+    scaling = OutputScaling(Logarithm(), 0.0, 0.5)
     variances = scaling.noise_variances(np.array([2.0, 10.0]), np.array([0.2, 0.2]))
     np.testing.assert_allclose(variances, [0.2**2, 0.04**2])
 
 
-@pytest.mark.parametrize("log", [False, True])
-def test_log_slope_is_that_of_standardise(log):
+@pytest.mark.parametrize("transform", [None, Logarithm(), SignedLogarithm(3.0, 2.0)])
+def test_log_slope_is_that_of_standardise(transform):
     x, y, h = np.zeros((3, 1)), np.array([0.5, 2.0, 30.0]), 1e-6
-    scaling = OutputScaling(log, 1.0, 4.0)
+    scaling = OutputScaling(transform, 1.0, 4.0)
     slope = (scaling.standardise(x, y + h) - scaling.standardise(x, y - h)) / (2.0 * h)
     np.testing.assert_allclose(scaling.log_slope(y), np.log(slope), rtol=1e-6)
 
 
 def test_log_normal_shares_median_and_lower_quantile():
-    scaling = OutputScaling(True, 0.0, 1.0)
+    scaling = OutputScaling(Logarithm(), 0.0, 1.0)
     mean, stddev = scaling.to_output(np.array([0.3]), np.array([0.7]))
     draws = np.exp(np.random.default_rng(0).normal(0.3, 0.7, 200_000))
     assert mean[0] == pytest.approx(np.median(draws), rel=0.01)
@@ -89,7 +90,7 @@ def test_expected_improvement_under_a_logarithm(s, q):
     target = np.exp(q * s)
     exact = target * norm.cdf(q) - np.exp(0.5 * s * s) * norm.cdf(q - s)
     mean, stddev = (
-        part[0] for part in OutputScaling(True, 0.0, 1.0).to_output(*np.array([[0.0], [s]]))
+        part[0] for part in OutputScaling(Logarithm(), 0.0, 1.0).to_output(*np.array([[0.0], [s]]))
     )
     z = (target - mean) / stddev
     assert stddev * (z * norm.cdf(z) + norm.pdf(z)) == pytest.approx(exact, rel=0.3)
@@ -98,7 +99,7 @@ def test_expected_improvement_under_a_logarithm(s, q):
 @pytest.mark.parametrize("mean", [3.0, 5.0, 6.4])
 def test_far_above_what_is_sought_a_low_value_is_as_improbable_as_it_is(mean):
     low, s = np.log(20.0), 0.7
-    scaling = OutputScaling(True, 0.0, 1.0, low=low)
+    scaling = OutputScaling(Logarithm(low), 0.0, 1.0)
     median, stddev = (part[0] for part in scaling.to_output(np.array([mean]), np.array([s])))
     assert median == pytest.approx(np.exp(mean))
     depth = max((mean - low) / s, 1.0)  # at least one standard deviation
@@ -108,7 +109,7 @@ def test_far_above_what_is_sought_a_low_value_is_as_improbable_as_it_is(mean):
 
 @pytest.mark.parametrize("low", [-1.0, 0.5, np.inf])
 def test_gradients_of_the_log_normal_are_those_of_its_moments(low):
-    scaling, h = OutputScaling(True, 0.0, 1.0, low=low), 1e-6
+    scaling, h = OutputScaling(Logarithm(low), 0.0, 1.0), 1e-6
     mean, stddev = np.linspace(-2.0, 3.0, 17), np.linspace(0.1, 2.0, 17)
     for step in ((h, 0.0), (0.0, h)):
         slopes = [np.full((17, 1), part / h) for part in step]
@@ -128,6 +129,6 @@ def test_heavy_tails_are_those_of_two_decades_and_more():
 
 
 def test_log_normal_of_huge_numbers_is_finite():
-    scaling = OutputScaling(True, 0.0, 1.0)
+    scaling = OutputScaling(Logarithm(), 0.0, 1.0)
     for part in scaling.to_output(np.array([1e5, -1e5]), np.array([1e5, 1e5])):
         assert np.isfinite(part).all()

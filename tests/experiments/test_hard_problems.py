@@ -58,3 +58,14 @@ def test_a_needle_is_met_in_a_fiftieth(name: str) -> None:
     others = HARD[name]().others
     assert others is not None
     assert np.mean(others["g"](x) <= 0.0) == pytest.approx(0.02, abs=0.01)
+
+
+@pytest.mark.parametrize("name", [n for n in HARD if n.startswith(("steep", "ledge", "slender"))])
+def test_a_steep_constraint_is_far_away_beyond_its_limit_and_near_within(name: str) -> None:
+    x, _ = sample(name)
+    others = HARD[name]().others
+    assert others is not None
+    for excess in others.values():
+        g = excess(x)
+        assert 0.1 < np.mean(g <= 0.0) < 0.7
+        assert g.max() > 10.0 * -g.min()

@@ -45,6 +45,7 @@ _MOST_FAILURES = 3  # in a row, after which the search goes back to what was val
 _MOST_HALVINGS = 12
 _HOPELESS = 1e-4  # expected improvement of each objective, as a share of its spread
 _PATIENCE = 3  # evaluations in which the front should move
+_MOST_MISSED = 1  # of these may miss a constraint if the front stands still for another reason
 _SKILL = 0.5  # least share of their variance that a model must explain to be followed
 
 
@@ -146,7 +147,8 @@ class CandidateSearch:
         A point that fills the space finds what they miss with a chance of about `exploration` over the
         number of evaluations, and may be worth as much as all that was found before: it is chosen if the
         candidate promises less. It is chosen at every second evaluation, too, while the front does not
-        move: then the models promise too much. With one objective, or weights, the best point is sought
+        move: then the models promise too much, unless what they promised missed a constraint only, which is
+        learned where it was missed. With one objective, or weights, the best point is sought
         to the last digit, and nothing is explored; nor where readings are noisy, or a reference point is
         out of reach, which is approached first.
         """
@@ -162,9 +164,10 @@ class CandidateSearch:
                 return True
         told = np.flatnonzero(self._data.highest[: n - self._archive.expected])
         last = int(told[-_PATIENCE]) if len(told) >= _PATIENCE else -1
-        return (
-            n % 2 == 0 and last >= self._archive.initial_evaluations and not (front >= last).any()
-        )
+        if n % 2 or last < self._archive.initial_evaluations or (front >= last).any():
+            return False
+        missed = self._data.valid[told[-_PATIENCE:]] & ~belief.feasible[told[-_PATIENCE:]]
+        return bool(not belief.feasible.any() or missed.sum() <= _MOST_MISSED)
 
     def _unconfirmed(self) -> Array | None:
         """Return a point beside a suspected reading that is better than believed, shape ``(d,)``.

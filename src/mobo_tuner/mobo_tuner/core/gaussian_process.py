@@ -16,6 +16,7 @@ from mobo_tuner.core.kernels import Kernel, as_inputs
 from mobo_tuner.core.linear_algebra import FloatArray, single_blas_thread
 from mobo_tuner.core.one_hot import OneHot
 from mobo_tuner.core.output_scaling import LARGEST_OUTPUT, OutputScaling, is_constant
+from mobo_tuner.core.output_transform import Logarithm
 from mobo_tuner.core.posterior import Gradients, Posterior
 from mobo_tuner.core.scaling_choice import ScalingChoice
 from mobo_tuner.core.training import train
@@ -88,6 +89,8 @@ class GaussianProcess:
         contexts: Number of the last inputs that nobody sets, such as time. Predictions at inputs
             without them are for the values in `now`.
         one_hot: How the kernel sees unordered inputs; None if there are none.
+        limit: Limit to keep, about which transform="auto" takes a signed logarithm; None for the logarithm
+            itself.
 
     Attributes:
         settings: Settings of the model.
@@ -107,12 +110,13 @@ class GaussianProcess:
         mean_gradient: MeanFunction | None = None,
         contexts: int = 0,
         one_hot: OneHot | None = None,
+        limit: float | None = None,
     ) -> None:
         self.settings = settings or GaussianProcessSettings()
         self.contexts = contexts
         self._one_hot = one_hot
         self.now = np.zeros(contexts)
-        self._choice = ScalingChoice(self.settings, reference, mean, mean_gradient)
+        self._choice = ScalingChoice(self.settings, reference, mean, mean_gradient, limit)
         self._trained: dict[str, FloatArray] = {}
         self._state: _State | None = None
 
@@ -205,7 +209,7 @@ class GaussianProcess:
         """
         model, posterior, *_ = self._fitted
         inputs, outputs, noise = _checked_data(x, y, stddev, self._d)
-        if model.scaling.log and not (outputs > 0.0).all():
+        if not model.scaling.allows(outputs):
             return self.fit(inputs, outputs, noise, restarts=0)
         with single_blas_thread():
             self._state = self._condition(posterior.kernel, model, inputs, outputs, noise)
@@ -249,7 +253,7 @@ class GaussianProcess:
         inputs, outputs, noise = _checked_data(x, y, stddev, self._d)
         all_inputs = np.vstack([former_inputs, inputs])
         all_outputs, all_noise = np.append(former, outputs), np.append(former_noise, noise)
-        if model.scaling.log and not (outputs > 0.0).all():
+        if not model.scaling.allows(outputs):
             return self.fit(all_inputs, all_outputs, all_noise, restarts=0)
         with single_blas_thread():
             z = model.scaling.standardise(inputs, outputs)
@@ -293,7 +297,7 @@ class GaussianProcess:
         (_, scaling, _), posterior, y, _, x = self._fitted
         excess, variance = posterior.leave_one_out()
         latent = scaling.unstandardise(x, posterior.z - excess, np.sqrt(variance))
-        mean, stddev = scaling.to_output(*latent)
+        mean, stddev = scaling.to_reading(*latent, y)
         log_density = posterior.leave_one_out_log_density
         return LeaveOneOut(mean, stddev, y - mean, log_density + scaling.log_slope(y))
 
@@ -311,7 +315,7 @@ class GaussianProcess:
             drawn = model.scaling.prior_mean(inputs) + model.scaling.scale * (
                 mean + normals @ root.T
             )
-        return np.exp(drawn) if model.scaling.log else drawn
+        return model.scaling.output(drawn)
 
     def correlations(self, x: FloatArray, others: FloatArray) -> FloatArray:
         """Return the correlations of the function at x `(d,)` with observations at others `(m, d)`; `(m,)`."""
@@ -371,6 +375,7 @@ class GaussianProcess:
             mean_gradient=self._choice.mean_gradient,
             contexts=self.contexts,
             one_hot=self._one_hot,
+            limit=self.limit,
         )
         model.now = self.now
         return model
@@ -381,6 +386,11 @@ class GaussianProcess:
     def reference(self) -> float | None:
         """Component of the reference point; None if there is none."""
         return self._choice.reference
+
+    @property
+    def limit(self) -> float | None:
+        """Limit to keep; None if there is none or another one."""
+        return self._choice.limit
 
     @property
     def n(self) -> int:
@@ -395,7 +405,10 @@ class GaussianProcess:
 
     @property
     def model(self) -> str:
-        """Prior mean in use: data, reference, constant, function or scaled function; with " log" for the log."""
+        """Prior mean in use: data, reference, constant, function or scaled function.
+
+        With " log" or " signed log" where that is modelled.
+        """
         return self._fitted.model.name
 
     @property
@@ -450,11 +463,12 @@ class GaussianProcess:
 
     def noise_at(self, x: FloatArray) -> float:
         """Return the standard deviation of one observation near x `(d,)`: learned, and known at the nearest one."""
-        model, posterior, _, stddev, _ = self._fitted
+        model, posterior, y, stddev, _ = self._fitted
         here = self._seen(self._whole_inputs(x[None]))
         nearest = int(np.square(posterior.x - here).sum(axis=1).argmin())
         fixed = 0.0 if isinstance(self.settings.noise, str) else self.settings.noise
-        learned = 0.0 if model.scaling.log else self.noise
+        is_log = isinstance(model.scaling.transform, Logarithm)
+        learned = 0.0 if is_log else self.noise * float(model.scaling.unit(y[[nearest]])[0])
         return float(np.sqrt(learned**2 + stddev[nearest] ** 2 + fixed**2))
 
     # State.
@@ -491,6 +505,7 @@ class GaussianProcess:
         mean: MeanFunction | None = None,
         mean_gradient: MeanFunction | None = None,
         one_hot: OneHot | None = None,
+        limit: float | None = None,
     ) -> GaussianProcess:
         """Return the model that `get_state` came from, bitwise, given its observations in their order.
 
@@ -502,6 +517,7 @@ class GaussianProcess:
             mean: The prior mean function again, if there was one.
             mean_gradient: The gradient of `mean` again, if there was one.
             one_hot: How the kernel sees unordered inputs, again.
+            limit: Limit to keep, again.
 
         Raises:
             ValueError: If the observations do not suit the state, or a mean function is missing.
@@ -517,6 +533,7 @@ class GaussianProcess:
             mean_gradient=mean_gradient,
             contexts=contexts,
             one_hot=one_hot,
+            limit=limit,
         )
         fitted = state["fitted"]
         if fitted is None:
@@ -569,7 +586,7 @@ class GaussianProcess:
     def _condition(
         self, kernel: Kernel, model: _Model, x: FloatArray, y: FloatArray, stddev: FloatArray
     ) -> _State:
-        if model.scaling.log and not (y > 0.0).all():
+        if not model.scaling.allows(y):
             raise ValueError(f"y must be positive where its logarithm is modelled, got {y.min()}")
         variance = float(np.exp(model.parameters[-2]))
         z = model.scaling.standardise(x, y)

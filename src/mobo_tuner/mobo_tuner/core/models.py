@@ -90,12 +90,16 @@ class Models:
     def _untrained(self) -> dict[str, GaussianProcess]:
         """Return the process of every output, without observations."""
         process = self._settings.gaussian_process
-        # The probability to exceed a limit comes out too low under a logarithm.
+        # The probability to exceed a limit comes out too low under a logarithm, and one about the limit
+        # says little of improvements, and serves one limit only.
         plain = replace(process, transform="none") if process.transform == "auto" else process
-        limited = {c.name for c in self._problem.constraints}
+        limits = {
+            c.name: [end for end in (c.minimum, c.maximum) if math.isfinite(end)]
+            for c in self._problem.constraints
+        }
         processes = {
             o.name: GaussianProcess(
-                plain if o.name in limited else process,
+                plain if o.name in limits else process,
                 # One that is not inferred yet: no model is used before it is.
                 o.sign * o.reference if math.isfinite(o.reference) else 0.0,
                 mean=self._means.mean(o.name),
@@ -106,12 +110,14 @@ class Models:
             for o in self._problem.objectives
         }
         # A constrained diagnostic has no reference point; its mean is that of the data.
-        constrained = replace(plain, mean="data") if plain.mean == "reference" else plain
+        mean = "data" if process.mean == "reference" else process.mean
         parts = [name for c in self._compositions.values() for name in c.parts]
         for name in dict.fromkeys([*self._problem.required_diagnostics, *parts]):
             if name not in processes:
+                single = len(limits.get(name, ())) == 1
                 processes[name] = GaussianProcess(
-                    constrained,
+                    replace(process if single else plain, mean=mean),
+                    limit=limits[name][0] if single else None,
                     mean=self._means.mean(name),
                     mean_gradient=self._means.gradient(name),
                     contexts=self._context.count,
@@ -499,6 +505,7 @@ class Models:
                 mean=self._means.mean(name),
                 mean_gradient=self._means.gradient(name),
                 one_hot=self._one_hot,
+                limit=output.process.limit,
             )
             if process.n != len(rows) or process.contexts != self._context.count:
                 raise ProblemError(f"the state lacks what the model of '{name}' was fitted to")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -11,17 +10,22 @@ import numpy as np
 
 from mobo_tuner.core.gaussian_process_settings import MeanFunction
 from mobo_tuner.core.linear_algebra import FloatArray
+from mobo_tuner.core.output_transform import (
+    Logarithm,
+    SignedLogarithm,
+    Transform,
+    transform_from_state,
+)
 
 LARGEST_OUTPUT = 1e100
 """Largest magnitude of an output."""
 _ROUNDING = 1e-12
 _EXACT = 1e-9
 _GRADIENT_STEP = 1e-5
-_LARGEST_EXPONENT = 600.0
 _SMALLEST_SCALE = 1e-150
 _LARGEST_VARIANCE = 1e100
-_LEAST_DEPTH = 1e-300
 _HEAVY = 10.0
+_HEAVY_ABOUT_LIMIT = 3.0
 
 
 def is_constant(y: FloatArray) -> bool:
@@ -39,29 +43,33 @@ def has_heavy_tail(y: FloatArray) -> bool:
     return least > 0.0 and most - median > _HEAVY * (median - least)
 
 
+def has_heavy_tail_about(y: FloatArray, limit: float) -> bool:
+    """Return whether outputs `(n,)` are so unequally far from a limit that a signed logarithm may say more."""
+    distance = np.abs(y - limit)
+    return bool(distance.max() > _HEAVY_ABOUT_LIMIT * np.median(distance))
+
+
 @dataclass(frozen=True)
 class OutputScaling:
-    """`z = (t(y) - m(x)) / scale`, with t the identity or the logarithm and m the prior mean.
+    """`z = (t(y) - m(x)) / scale`, with a transform t and the prior mean m.
 
     The prior mean is `m(x) = offset + factor * mean(x)`, or `offset` alone without a function.
 
     Attributes:
-        log: Whether t is the logarithm.
+        transform: Transform t; None for none.
         offset: Constant part of the prior mean, in units of t(y).
         scale: Standard deviation of `t(y) - m(x)` over the observations, positive.
         mean: Function of the inputs `(n, d) -> (n,)`, if there is one.
         mean_gradient: Gradient of `mean` `(m, d) -> (m, d)`; by default central differences.
         factor: Factor of `mean`.
-        low: Logarithm of a low output, of which `to_output` keeps the probability; infinite for none.
     """
 
-    log: bool
+    transform: Transform | None
     offset: float
     scale: float
     mean: MeanFunction | None = None
     mean_gradient: MeanFunction | None = None
     factor: float = 1.0
-    low: float = math.inf
 
     @classmethod
     def of(
@@ -70,11 +78,10 @@ class OutputScaling:
         y: FloatArray,
         *,
         offset: float | None = None,
-        log: bool = False,
+        transform: Transform | None = None,
         mean: MeanFunction | None = None,
         mean_gradient: MeanFunction | None = None,
         scaled: bool = False,
-        low: float = math.inf,
     ) -> OutputScaling:
         """Return the scaling that suits observations.
 
@@ -86,16 +93,15 @@ class OutputScaling:
             x: Normalised inputs `(n, d)`.
             y: Outputs `(n,)`.
             offset: Constant prior mean, in units of t(y); None for the mean of the data.
-            log: Whether t is the logarithm.
+            transform: Transform t; None for none.
             mean: Function whose best offset from the outputs is the prior mean, in place of `offset`.
             mean_gradient: Gradient of `mean`.
             scaled: Whether the best factor of `mean` is taken, too.
-            low: Logarithm of a low output, see the attribute.
         """
-        values = np.log(y) if log else y
+        values = y if transform is None else transform.apply(y)
         factor = 1.0
         if mean is not None:
-            predicted = cls(log, 0.0, 1.0, mean).prior_mean(x)
+            predicted = cls(transform, 0.0, 1.0, mean).prior_mean(x)
             if scaled:
                 variance = float(np.var(predicted))
                 agreement = float(np.mean((predicted - predicted.mean()) * values))
@@ -103,7 +109,7 @@ class OutputScaling:
             offset = float(np.mean(values - factor * predicted))
         elif offset is None:
             offset = float(np.mean(values))
-        unscaled = cls(log, offset, 1.0, mean, mean_gradient, factor, low)
+        unscaled = cls(transform, offset, 1.0, mean, mean_gradient, factor)
         residuals = values - unscaled.prior_mean(x)
         magnitude = max(float(np.abs(values).max()), abs(offset))
         negligible = _ROUNDING * magnitude
@@ -116,11 +122,12 @@ class OutputScaling:
     def get_state(self) -> dict[str, Any]:
         """Return what `from_state` needs beside the prior mean, as data for JSON."""
         return {
-            "log": self.log,
+            "log": False,
+            "low": None,
+            **({} if self.transform is None else self.transform.get_state()),
             "offset": self.offset,
             "scale": self.scale,
             "factor": self.factor,
-            "low": self.low if self.log else None,
         }
 
     @classmethod
@@ -141,10 +148,8 @@ class OutputScaling:
         factor = float(state.get("factor", 1.0))
         if not abs(factor) <= LARGEST_OUTPUT:
             raise ValueError(f"factor is {factor}")
-        low = math.inf if state.get("low") is None else float(state["low"])
-        return cls(
-            bool(state["log"]), float(offset), float(scale), mean, mean_gradient, factor, low
-        )
+        transform = transform_from_state(state)
+        return cls(transform, float(offset), float(scale), mean, mean_gradient, factor)
 
     def prior_mean(self, x: FloatArray) -> FloatArray:
         """Return the prior mean m(x) `(m,)` at x `(m, d)`, in units of t(y)."""
@@ -181,9 +186,25 @@ class OutputScaling:
             )
         return gradient
 
+    def allows(self, y: FloatArray) -> bool:
+        """Return whether t is defined for all outputs y `(n,)`."""
+        return not isinstance(self.transform, Logarithm) or bool((y > 0.0).all())
+
+    def transformed(self, y: FloatArray) -> FloatArray:
+        """Return t(y) `(n,)`."""
+        return y if self.transform is None else self.transform.apply(y)
+
+    def output(self, t: FloatArray) -> FloatArray:
+        """Return the outputs y of t(y), of any shape."""
+        return t if self.transform is None else self.transform.invert(t)
+
+    def unit(self, y: FloatArray) -> FloatArray:
+        """Return dy/dt `(n,)`: how much y changes with t(y)."""
+        return np.ones_like(y) if self.transform is None else self.transform.unit(y)
+
     def standardise(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return the residuals z `(n,)` of the observations x `(n, d)`, y `(n,)`."""
-        return ((np.log(y) if self.log else y) - self.prior_mean(x)) / self.scale
+        return (self.transformed(y) - self.prior_mean(x)) / self.scale
 
     def unstandardise(
         self, x: FloatArray, mean: FloatArray, stddev: FloatArray
@@ -192,34 +213,20 @@ class OutputScaling:
         return self.prior_mean(x) + self.scale * mean, self.scale * stddev
 
     def noise_variances(self, y: FloatArray, stddev: FloatArray) -> FloatArray:
-        """Return variances of z `(n,)` from standard deviations of y, to first order for the log."""
-        unit = self.scale * np.abs(y) if self.log else self.scale
+        """Return variances of z `(n,)` from standard deviations of y, to first order."""
+        unit = self.scale * self.unit(y)
         with np.errstate(over="ignore"):
             return np.asarray(np.minimum(np.square(stddev / unit), _LARGEST_VARIANCE))
 
     def log_slope(self, y: FloatArray) -> FloatArray:
         """Return `log |dz/dy|` `(n,)`, which turns log densities of z into those of y."""
-        return np.asarray(-np.log(self.scale) - (np.log(y) if self.log else np.zeros_like(y)))
+        return np.asarray(-np.log(self.scale) - np.log(self.unit(y)))
 
     def to_output(self, mean: FloatArray, stddev: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean and standard deviation of y, `(m,)` each, from those of t(y), mu and s.
-
-        Under the logarithm, the Gaussian that shares the log-normal's median and one of its quantiles:
-        that one standard deviation below, `exp(mu)` and `exp(mu) (1 - exp(-s))`, or that at `low` where it
-        is farther below. An acquisition function of a minimised y looks at that side: expected improvements
-        are right to a fifth for s up to 0.6 and targets down to half a standard deviation below the
-        median, where a Gaussian with the log-normal's mean and variance, swollen by its upper tail, is
-        wrong without limit (by a factor of 6 at s = 1, of 3000 at s = 2.5). And where the median is far
-        above what is sought, improvements are as improbable as they are: with the quantile one standard
-        deviation below, a place with a median of 600 and s = 0.7 would promise less than 20 with a
-        probability of 3 % instead of 6e-7. The probability to exceed a limit comes out too low: do not
-        transform what has an upper limit to keep.
-        """
-        if not self.log:
+        """Return mean and standard deviation of y, `(m,)` each, from those of t(y)."""
+        if self.transform is None:
             return mean, stddev
-        median = np.exp(np.minimum(mean, _LARGEST_EXPONENT))
-        depth = np.maximum(np.maximum(mean - self.low, stddev), _LEAST_DEPTH)
-        return median, -median * np.expm1(-depth) * (stddev / depth)
+        return self.transform.to_output(mean, stddev)
 
     def gradients_to_output(
         self,
@@ -229,15 +236,14 @@ class OutputScaling:
         stddev_gradient: FloatArray,
     ) -> tuple[FloatArray, FloatArray]:
         """Return the gradients in x of `to_output`, `(m, d)` each, from those of its arguments."""
-        if not self.log:
+        if self.transform is None:
             return mean_gradient, stddev_gradient
-        median, spread = self.to_output(mean, stddev)
-        is_deep = mean - self.low > stddev
-        depth = np.maximum(np.maximum(mean - self.low, stddev), _LEAST_DEPTH)
-        lower = median * np.exp(-depth)
-        by_depth = np.where(is_deep, (lower * stddev - spread) / depth, 0.0)
-        by_stddev = np.where(is_deep, spread / stddev, lower)
-        return (
-            median[:, None] * mean_gradient,
-            (spread + by_depth)[:, None] * mean_gradient + by_stddev[:, None] * stddev_gradient,
-        )
+        return self.transform.gradients_to_output(mean, stddev, mean_gradient, stddev_gradient)
+
+    def to_reading(
+        self, mean: FloatArray, stddev: FloatArray, y: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the results of `to_output` that suit to judge one reading y `(m,)` by each of them."""
+        if isinstance(self.transform, SignedLogarithm):
+            return self.transform.to_reading(mean, stddev, y)
+        return self.to_output(mean, stddev)

@@ -11,9 +11,17 @@ import numpy as np
 
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
 from mobo_tuner.core.linear_algebra import FloatArray
-from mobo_tuner.core.output_scaling import OutputScaling, has_heavy_tail, is_constant
+from mobo_tuner.core.output_scaling import (
+    OutputScaling,
+    has_heavy_tail,
+    has_heavy_tail_about,
+    is_constant,
+)
+from mobo_tuner.core.output_transform import Logarithm, SignedLogarithm, Transform
 
-_CLEARLY_BETTER = 3.0  # log density of left-out observations, for a logarithm
+# What a transform must be better by, in the log density of left-out observations.
+_CLEARLY_BETTER: Mapping[type, float] = {Logarithm: 3.0, SignedLogarithm: 1.0}
+_LEAST_WIDTH = 1e-150
 _FUNCTION, _SCALED = "function", "scaled function"  # prior means that are given
 _LEAST_SCALED = 5  # observations from which on a factor is learned
 _HANDICAPS = {_SCALED: 1.0}  # of the log density, for what an offset does not have: a factor
@@ -28,6 +36,7 @@ class ScalingChoice:
         reference: Component of the reference point; None if there is none.
         mean: Function from inputs `(n, d)` to outputs `(n,)`; None if none is given.
         mean_gradient: Its gradient, from inputs `(m, d)` to `(m, d)`; None for central differences.
+        limit: Limit to keep, about which a logarithm may be taken; None if there is none or another one.
 
     Raises:
         ValueError: If the reference is missing or not finite, or a gradient is given without a mean.
@@ -37,6 +46,7 @@ class ScalingChoice:
     reference: float | None
     mean: MeanFunction | None
     mean_gradient: MeanFunction | None
+    limit: float | None = None
 
     def __post_init__(self) -> None:
         """Check what goes together."""
@@ -72,18 +82,31 @@ class ScalingChoice:
         else:
             offsets = {"constant": float(settings.mean)}
         plain = [(name, OutputScaling.of(x, y, offset=offset)) for name, offset in offsets.items()]
-        if not (y > 0.0).all() or settings.transform == "none":
+        transform = self._transform(y)
+        if transform is None:
             return given + plain
-        if settings.transform == "auto" and not has_heavy_tail(y):
-            return given + plain
-        low = float(np.log(y.min()))
-        logs = [
-            (f"{name} log", OutputScaling.of(x, y, offset=log, log=True, low=low))
+        suffix = "signed log" if isinstance(transform, SignedLogarithm) else "log"
+        transformed = [
+            (f"{name} {suffix}", OutputScaling.of(x, y, offset=at, transform=transform))
             for name, offset in offsets.items()
-            if offset is None or offset > 0.0
-            for log in (None if offset is None else np.log(offset),)
+            if offset is None or offset > 0.0 or isinstance(transform, SignedLogarithm)
+            for at in (None if offset is None else float(transform.apply(np.array([offset]))[0]),)
         ]
-        return given + (logs if logs and settings.transform == "log" else plain + logs)
+        never_plain = transformed and settings.transform == "log"
+        return given + (transformed if never_plain else plain + transformed)
+
+    def _transform(self, y: FloatArray) -> Transform | None:
+        """Return the transform that may suit the outputs; None for none."""
+        chosen = self.settings.transform
+        if chosen == "auto" and self.limit is not None:
+            width = float(np.median(np.abs(y - self.limit)))
+            heavy = width > _LEAST_WIDTH and has_heavy_tail_about(y, self.limit)
+            return SignedLogarithm(self.limit, width) if heavy else None
+        if chosen == "none" or not (y > 0.0).all():
+            return None
+        if chosen == "auto" and not has_heavy_tail(y):
+            return None
+        return Logarithm(float(np.log(y.min())))
 
     @staticmethod
     def score(name: str, scaling: OutputScaling, log_density: float) -> float:
@@ -94,7 +117,8 @@ class ScalingChoice:
             scaling: Scaling.
             log_density: Log density of all observations, each predicted from all others.
         """
-        return log_density - _CLEARLY_BETTER * scaling.log - _HANDICAPS.get(name, 0.0)
+        better = _CLEARLY_BETTER.get(type(scaling.transform), 0.0)
+        return log_density - better - _HANDICAPS.get(name, 0.0)
 
     def restored(self, name: str, state: Mapping[str, Any]) -> OutputScaling:
         """Return the scaling of a name that `OutputScaling.get_state` came from.
