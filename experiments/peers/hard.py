@@ -8,7 +8,9 @@ may be based on these, on the paper's toy, on DTLZ2 and on the injector, and on 
   few starts say: the better, the farther out;
 - *tails*: objectives that span four orders of magnitude, whose front lies in the lowest decade;
 - *cliffs*: objectives that are the same almost everywhere, and fall in one corner;
-- *needles*: smooth objectives with a constraint that only a small place meets, and whose readings are flat elsewhere.
+- *needles*: smooth objectives with a constraint that only a small place meets, and whose readings are flat elsewhere;
+- *steep constraints* (`steep`, `ledge`, `slender`): a constraint that reads within one unit where it is met, and far
+  away where it is missed.
 """
 
 from __future__ import annotations

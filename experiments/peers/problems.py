@@ -504,6 +504,7 @@ HELD_OUT = (
 
 They were published by others before this project began, and none of them was run when the choices were made, which is
 why this list was fixed before the first comparison on them. The other problems are the paper's toy, the injector and
-DTLZ2, on which the default strategy was developed, six published ones (`bnh` to `dtlz7`) on which its exploration was
-judged, and those of `experiments.peers.hard`. A choice is made on those and measured once here.
+DTLZ2, on which the default strategy was developed, nine published ones (`bnh` to `dtlz7`) on which its exploration and
+the transform of its constraints were judged, and those of `experiments.peers.hard`. A choice is made on those and
+measured once here.
 """

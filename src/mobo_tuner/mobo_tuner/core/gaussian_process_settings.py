@@ -98,7 +98,8 @@ class GaussianProcessSettings:
     transform: str = parameter(
         "auto",
         "Model the logarithm of an output whose values are all positive: never, always, or "
-        "(`auto`) where some are far larger than most and it predicts left-out evaluations clearly better.",
+        "(`auto`) where some are far larger than most and it predicts left-out evaluations clearly better; "
+        "with `auto` also a signed logarithm about the limit of a diagnostic that has one.",
         choices=("none", "log", "auto"),
     )
 
