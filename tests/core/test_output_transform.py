@@ -156,3 +156,8 @@ def test_only_a_diagnostic_with_one_limit_has_it() -> None:
     optimizer = Optimizer(with_changes(constraints=limits), seed=0)
     found = {name: m.limit for name, m in optimizer.archive.models.by_output.items()}
     assert found == {"f1": None, "f2": None, "g": 2.0, "h": None, "l": 5.0}
+    summed = {"derived": {"s": {"formula": "g + f2"}}, "constraints": limits | {"s": {"max": 9.0}}}
+    optimizer = Optimizer(with_changes(**summed), seed=0)
+    found = {name: m.limit for name, m in optimizer.archive.models.by_output.items()}
+    assert found["s"] == 9.0
+    assert found["g"] is None

@@ -91,7 +91,7 @@ class Models:
         """Return the process of every output, without observations."""
         process = self._settings.gaussian_process
         # The probability to exceed a limit comes out too low under a logarithm, and one about the limit
-        # says little of improvements, and serves one limit only.
+        # says little of improvements and of what a formula makes of it, and serves one limit only.
         plain = replace(process, transform="none") if process.transform == "auto" else process
         limits = {
             c.name: [end for end in (c.minimum, c.maximum) if math.isfinite(end)]
@@ -114,7 +114,7 @@ class Models:
         parts = [name for c in self._compositions.values() for name in c.parts]
         for name in dict.fromkeys([*self._problem.required_diagnostics, *parts]):
             if name not in processes:
-                single = len(limits.get(name, ())) == 1
+                single = len(limits.get(name, ())) == 1 and name not in parts
                 processes[name] = GaussianProcess(
                     replace(process if single else plain, mean=mean),
                     limit=limits[name][0] if single else None,
