@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import math
 from dataclasses import replace
@@ -13,7 +14,13 @@ from rich.console import Console
 from mobo_tuner.client import Evaluation, Front, Point, Status
 from mobo_tuner.client.values import ContextReading
 from mobo_tuner.core.problem import Constraint, Objective, Problem
-from mobo_tuner.displays.console_view import PlainView, evaluation_line, render, sparkline
+from mobo_tuner.displays.console_view import (
+    LiveView,
+    PlainView,
+    evaluation_line,
+    render,
+    sparkline,
+)
 from mobo_tuner.displays.progress import RunProgress, contexts_text
 
 EVALUATION = Evaluation(
@@ -38,6 +45,32 @@ EVALUATION = Evaluation(
     machine_seconds=1.0,
     total_seconds=2.0,
 )
+
+
+class Gone(io.StringIO):
+    """A terminal that was closed."""
+
+    def isatty(self) -> bool:
+        return True
+
+    def write(self, text: str) -> int:
+        del text
+        raise OSError(errno.EIO, "Input/output error")
+
+
+@pytest.mark.parametrize("kind", [LiveView, PlainView])
+def test_a_view_knows_that_nobody_reads_it(
+    kind: type[LiveView | PlainView], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    stream = Gone()
+    view = kind("run", 60, None if kind is LiveView else stream)
+    if isinstance(view, LiveView):
+        view._live.console.file = stream
+    assert not view.unseen
+    view.evaluation(EVALUATION)
+    assert view.unseen
+    view.close()
 
 
 def shown(progress: RunProgress, stage: str = "", width: int = 100) -> str:

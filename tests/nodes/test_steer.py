@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 
 import pytest
@@ -101,6 +103,15 @@ def test_a_run_is_watched_for_a_while_and_canceled_from_elsewhere(shell: Shell) 
     view.popen.send_signal(signal.SIGINT)
     assert view.wait() == 0
     assert view.stdout.splitlines()[-1].endswith("continues")
+    # So does a view that nobody reads any more, as in `mobo.py watch | head -1`.
+    command = (sys.executable, "-u", "-m", "mobo_tuner.nodes.steer", "watch")
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as unread:
+        assert unread.stdout is not None
+        assert unread.stderr is not None
+        unread.stdout.readline()
+        unread.stdout.close()
+        assert unread.wait(60.0) == 0
+        assert unread.stderr.read() == b""
     assert shell("status").startswith(("evaluating", "suggesting"))
     assert "canceled" in shell("cancel")
     assert console.wait() == 130

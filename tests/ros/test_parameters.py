@@ -14,7 +14,7 @@ import yaml
 from rclpy.context import Context
 from rclpy.node import Node
 
-from mobo_tuner.errors import ParameterError
+from mobo_tuner.errors import FileError, ParameterError
 from mobo_tuner.parameter_file import check_section, flat
 from mobo_tuner.parameter_spec import ParameterSpec
 from mobo_tuner.ros.parameters import (
@@ -112,6 +112,15 @@ def test_a_misspelt_section_is_refused(tmp_path: Path, section: str) -> None:
     second = written(tmp_path / "b.yaml", {"count": 4}, "/**/tuner2")
     with as_node_arguments(["program", "--ros-args", "--params-file", second], "tuner"):
         pass
+
+
+def test_a_file_that_cannot_be_read_is_one_sentence_without_words_of_ros(tmp_path: Path) -> None:
+    repeated = tmp_path / "a.yaml"
+    repeated.write_text("/**:\n  ros__parameters:\n    seed: 1\n    seed: 2\n")
+    for file, reason in ((tmp_path / "none.yaml", "cannot be read"), (repeated, "stands twice")):
+        words = ["program", "--ros-args", "--params-file", str(file)]
+        with pytest.raises(FileError, match=reason), as_node_arguments(words, "tuner"):
+            pass
 
 
 @pytest.mark.parametrize("section", ["tuner", "/**"])

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from mobo_tuner.core import Problem
-from mobo_tuner.runs.hints import FEWEST, MOST, PERIOD, Hints, run_hints
+from mobo_tuner.runs.hints import FAILING, FEWEST, MOST, PERIOD, Hints, run_hints
+from mobo_tuner.runs.history import CANCELED
 from mobo_tuner.runs.records import EvaluationRecord
 from tests.runs.test_records import EVALUATION
 
@@ -37,6 +38,8 @@ def made(
             index=index,
             setpoint=POINTS[index],
             readbacks=readbacks[index],
+            valid=True,
+            error_code=0,
             diagnostics={"f": (values[index, 0], math.nan), "g": (values[index, 1], math.nan)},
         )
         for index in range(16)
@@ -45,6 +48,18 @@ def made(
 
 def test_a_run_that_gets_somewhere_has_no_hints() -> None:
     assert run_hints(PROBLEM, made(), POINTS[:3], {}) == []
+
+
+def test_failures_in_a_row_are_told_from_the_fifth_on() -> None:
+    records = made()
+    failed = [replace(r, error_code=5, error_msg="no picture") for r in records]
+    skipped = replace(records[0], error_code=CANCELED, error_msg="skipped by an operator")
+    [hint] = run_hints(PROBLEM, [*records, *failed[:FAILING], skipped], POINTS[:3], {})
+    assert hint.startswith(
+        f"the last {FAILING} evaluations failed, the last one because no picture"
+    )
+    assert run_hints(PROBLEM, [*records, *failed[1:FAILING]], POINTS[:3], {}) == []
+    assert run_hints(PROBLEM, failed[:FAILING], [], {}) == [hint]  # before anything else is said
 
 
 def test_set_points_that_are_quantised_are_named_with_their_step() -> None:

@@ -182,6 +182,7 @@ def test_names_and_codes_are_those_of_the_interfaces() -> None:
     constants = (kinds.INITIAL, kinds.MODEL, kinds.OPERATOR)
     assert [SOURCES[constant] for constant in constants] == ["initial", "model", "operator"]
     assert history.INVALID_MEASUREMENT == EvaluateSetpoint.Result.INVALID_MEASUREMENT
+    assert history.CANCELED == EvaluateSetpoint.Result.CANCELED
 
 
 def test_another_version_of_the_journal_is_refused() -> None:

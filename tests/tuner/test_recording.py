@@ -107,7 +107,7 @@ def test_a_lost_recorder_is_said_at_once_and_the_run_does_what_its_policy_says(
     status = watched.wait_for(lambda s: "lost" in s.recorder, "the loss")
     assert "No space left" in status.recorder
     assert any("bag_path" in hint for hint in status.hints)
-    assert "No space left" in status.last_failure
+    assert status.last_failure == ""  # of an evaluation, which is not replaced
     if policy == "pause":
         status = watched.wait_for(lambda s: s.state == TunerStatus.PAUSED, "the pause")
         assert "No space left" in status.message

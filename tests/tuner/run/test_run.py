@@ -119,7 +119,11 @@ def test_pause_step_and_resume() -> None:
     assert steering.reason == ""
     steering.pause("an operator")
     assert steering.waits
-    assert steering.reason == "an operator"
+    steering.pause("the recorder is lost")
+    steering.pause("the recorder is lost")
+    assert steering.reason == "an operator; the recorder is lost"
+    steering.resume()
+    assert steering.reason == ""
 
 
 def test_a_request_wakes_up_who_waits_for_news() -> None:

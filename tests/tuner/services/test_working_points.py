@@ -88,7 +88,7 @@ def test_the_front_is_listed_gone_to_and_held(
 ) -> None:
     start_machine()
     tuner = start_tuner("initial_evaluations:=6")
-    nothing = "no run has begun: there is no front, unless run_id names an earlier run"
+    nothing = "no run has begun here, so that there is no front; name an earlier run (--run ID)"
     assert listed(services, False).message == nothing
     mover.send(Goal(choice=Goal.BY_INDEX, index=0))
     refused = mover.wait()

@@ -52,10 +52,14 @@ class RunView:
     Args:
         run_id: Id of the run.
         budget: Number of evaluations asked for; 0 until it is known.
+
+    Attributes:
+        unseen: Whether nobody reads it any more: its terminal or pipe was closed.
     """
 
     def __init__(self, run_id: str, budget: int = 0) -> None:
         self.run_id = run_id
+        self.unseen = False
         self.progress = RunProgress(budget)
 
     @property
@@ -148,11 +152,14 @@ class LiveView(RunView):
             self._live.stop()
 
     def _draw(self) -> None:
-        if self._live.is_started:
-            with suppress(OSError):  # the terminal is closed: what the view follows goes on
-                self._live.update(
-                    render(self.run_id, self.progress, self._stage, self._hint), refresh=True
-                )
+        if not self._live.is_started:
+            return
+        try:
+            self._live.update(
+                render(self.run_id, self.progress, self._stage, self._hint), refresh=True
+            )
+        except OSError:  # what the view follows goes on
+            self.unseen = True
 
 
 class PlainView(RunView):
@@ -200,9 +207,12 @@ class PlainView(RunView):
         self._closed = True
 
     def _print(self, text: str) -> None:
-        if not self._closed:
-            with suppress(OSError):  # as above
-                print(text, file=self._stream, flush=True)
+        if self._closed:
+            return
+        try:
+            print(text, file=self._stream, flush=True)
+        except OSError:  # as above
+            self.unseen = True
 
 
 def make_view(run_id: str, budget: int = 0) -> RunView:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, TextIO
 
 from mobo_tuner.client import (
     Arrival,
@@ -46,7 +47,7 @@ def status(client: TunerClient, _: argparse.Namespace) -> str:
         text += f"\nlast failure: {now.last_failure}"
     if now.contexts:
         text += f"\ncontext: {contexts_text(now)}"
-    if now.recorder:
+    if now.recorder and not any(now.recorder in hint for hint in now.hints):
         text += f"\n{now.recorder}"
     if math.isfinite(now.free_space):
         text += f"\ndisk of the runs: {now.free_space / 1e9:.1f} GB are left"
@@ -57,9 +58,17 @@ def watch(client: TunerClient, _: argparse.Namespace) -> str:
     """Show the active run until it ends; keys steer it, and Ctrl-C only ends the view."""
     now = client.status()
     view = make_view(now.run_id, now.budget)
+
+    def show(status: Status) -> None:
+        view.status(status)
+        if view.unseen:  # the signal of a closed terminal may be lost in an error of writing to it
+            raise KeyboardInterrupt
+
+    callbacks = view.callbacks
+    callbacks["on_status"] = show
     try:
         with view.keys(client):
-            last = client.watch(**view.callbacks)
+            last = client.watch(**callbacks)
     except KeyboardInterrupt:
         return f"run {now.run_id} continues"
     finally:
@@ -159,7 +168,7 @@ def go(client: TunerClient, options: argparse.Namespace) -> str:
 
     def show(movement: Movement) -> None:
         held = f", {movement.evaluations} evaluations" if movement.evaluations else ""
-        print(f"{movement.phase}{held}", file=sys.stderr)
+        _say(f"{movement.phase}{held}", sys.stderr)
 
     arrival = client.go(
         options.index,
@@ -303,12 +312,12 @@ def run(arguments: Sequence[str]) -> int:
     options = make_parser().parse_args(arguments)
     try:
         with TunerClient(options.namespace) as client:
-            print(VERBS[options.verb](client, options))
+            _say(VERBS[options.verb](client, options), sys.stdout)
     except TunerError as error:
-        print(f"refused: {error}" if error.code in REFUSALS else error, file=sys.stderr)
+        _say(f"refused: {error}" if error.code in REFUSALS else str(error), sys.stderr)
         return EXIT_ERROR
     except KeyboardInterrupt:
-        print("stopped", file=sys.stderr)
+        _say("stopped", sys.stderr)
         return EXIT_INTERRUPTED
     return 0
 
@@ -319,6 +328,14 @@ def main() -> None:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler)
     sys.exit(run(sys.argv[1:]))
+
+
+def _say(text: str, stream: TextIO) -> None:
+    """Print a text, if anybody reads it: the terminal or the pipe may be closed."""
+    try:
+        print(text, file=stream, flush=True)
+    except OSError:  # nothing more is written there, also when this process ends
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _comparison(arrival: Arrival) -> str:

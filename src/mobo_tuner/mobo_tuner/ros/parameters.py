@@ -16,7 +16,7 @@ import yaml
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 
-from mobo_tuner.errors import FileError, ParameterError
+from mobo_tuner.errors import ParameterError
 from mobo_tuner.files import load_yaml
 from mobo_tuner.parameter_file import flat
 from mobo_tuner.parameter_spec import ParameterSpec, unknown
@@ -179,11 +179,12 @@ def _has_dotted_mapping(content: Mapping[Any, Any]) -> bool:
 
 
 def _content(path: str) -> Mapping[Any, Any]:
-    """Return what a parameter file holds; nothing if it cannot be read, which rclpy will say."""
-    try:
-        return load_yaml(path)
-    except FileError:
-        return {}
+    """Return what a parameter file holds.
+
+    Raises:
+        FileError: If it cannot be read, which rclpy would say in other words.
+    """
+    return load_yaml(path)
 
 
 def _is_for(section: object, node: str) -> bool:

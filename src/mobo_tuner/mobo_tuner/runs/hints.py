@@ -10,13 +10,15 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import pairwise
+from itertools import pairwise, takewhile
 
 from mobo_tuner.core.problem import Problem, Variable
+from mobo_tuner.runs.history import CANCELED
 from mobo_tuner.runs.records import EvaluationRecord
 
 MOST = 3  # hints at a time
 PERIOD = 10  # evaluations until a hint's figures are brought up to date
+FAILING = 5  # evaluations that failed in a row
 SILENT = 3  # evaluations in a row without a reading of a context
 FEWEST = 8  # evaluations before anything is said
 RECENT = 50  # evaluations that are looked at
@@ -43,12 +45,12 @@ def run_hints(
         limits: Limits of the machine's variables; empty if they are unknown.
         general: What the optimiser says of the problem and its front.
     """
-    silent = _silent_contexts(problem, records)
+    urgent = [*_failing(records), *_silent_contexts(problem, records)]
     if len(records) < FEWEST:
-        return silent
+        return urgent[:MOST]
     recent = records[-RECENT:]
     found = [
-        *silent,
+        *urgent,
         *general,
         *_quantised(problem, recent),
         *_clipped(problem, recent),
@@ -78,6 +80,18 @@ class Hints:
             shown[kind] = before if fresh else (text, evaluations)
         self._shown = shown
         return tuple(text for text, _ in shown.values())
+
+
+def _failing(records: Sequence[EvaluationRecord]) -> list[str]:
+    """Say how many evaluations have failed in a row; those that were skipped do not count."""
+    made = [record for record in records if record.error_code != CANCELED]
+    failed = len([*takewhile(lambda record: record.failed, reversed(made))])
+    if failed < FAILING:
+        return []
+    return [
+        f"the last {failed} evaluations failed, the last one because {made[-1].error_msg}: pause the run and "
+        "check the machine"
+    ]
 
 
 def _silent_contexts(problem: Problem, records: Sequence[EvaluationRecord]) -> list[str]:

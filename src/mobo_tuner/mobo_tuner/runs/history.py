@@ -37,6 +37,9 @@ MODEL, INPUTS, OUTPUTS = PRIOR = "prior_mean.model", "prior_mean.inputs", "prior
 INVALID_MEASUREMENT = 5
 """Error code of `EvaluateSetpoint.Result`: a diagnostic could not be measured."""
 
+CANCELED = 6
+"""Error code of `EvaluateSetpoint.Result`: the evaluation was skipped."""
+
 Step = EvaluationRecord | ChangeRecord | ForgetRecord
 
 

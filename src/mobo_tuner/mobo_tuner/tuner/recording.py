@@ -182,8 +182,6 @@ class Recording:
             )
         status, run = self._context.status, self._session.run
         status.set(publish=False, recorder=now.text, free_space=self._free)
-        if run is not None and now.lost and now != before:
-            status.set(publish=False, last_failure=now.text)
         status.hint(_HINTS, hints)
         if now != before:
             status.set()

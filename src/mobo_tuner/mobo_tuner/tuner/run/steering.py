@@ -28,7 +28,7 @@ class Steering:
 
     Attributes:
         paused: Whether the run waits before the next evaluation.
-        reason: Reason of the pause, in a few words.
+        reasons: Reasons of the pause, each in a few words.
         steps: Number of evaluations that it may make although it is paused.
         stop: Done when the run must end before the next evaluation; its result is a `StopReason`.
         change: Change that takes effect before the next evaluation.
@@ -39,7 +39,7 @@ class Steering:
     """
 
     paused: bool = False
-    reason: str = ""
+    reasons: list[str] = field(default_factory=list)
     steps: int = 0
     stop: Future = field(default_factory=Future)
     change: Change | None = None
@@ -50,6 +50,11 @@ class Steering:
     _news: Future = field(default_factory=Future)
     _skip: Future = field(default_factory=Future)
     _skipped: Future = field(default_factory=Future)
+
+    @property
+    def reason(self) -> str:
+        """Reasons of the pause as one text."""
+        return "; ".join(self.reasons)
 
     @property
     def news(self) -> Future:
@@ -89,18 +94,19 @@ class Steering:
         return self.stop.done()
 
     def pause(self, reason: str) -> None:
-        """Wait before the next evaluation, for a reason that is shown."""
-        self.paused, self.reason = True, reason
-        self.steps = 0
+        """Wait before the next evaluation, for a reason that is shown beside those of a pause that lasts."""
+        self.paused, self.steps = True, 0
+        if reason not in self.reasons:
+            self.reasons.append(reason)
 
     def resume(self) -> None:
         """Do not wait any more."""
-        self.paused, self.reason = False, ""
-        self.steps = 0
+        self.paused, self.steps = False, 0
+        self.reasons.clear()
 
     def step(self, reason: str) -> None:
         """Make one more evaluation, then wait, for a reason that is shown."""
-        self.paused, self.reason = True, reason
+        self.paused, self.reasons = True, [reason]
         self.steps += 1
 
     def request_stop(self, reason: StopReason = StopReason.STOPPED) -> None:

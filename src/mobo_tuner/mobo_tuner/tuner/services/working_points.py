@@ -32,7 +32,7 @@ from mobo_tuner.tuner.session import Session
 MAX_HOLD = 100_000  # evaluations
 DEFAULT_RADIUS = 0.1
 _CODES = GoToWorkingPoint.Result
-_NOTHING = "no run has begun: there is no front, unless run_id names an earlier run"
+_NOTHING = "no run has begun here, so that there is no front; name an earlier run (--run ID)"
 
 
 class WorkingPoints:
@@ -145,8 +145,8 @@ class WorkingPoints:
         place = self._place(run, request)
         if request.hold_evaluations and place.index not in _on_front(run):
             raise ValueError(
-                f"hold_evaluations is {request.hold_evaluations}; only a point of the front can be held, "
-                f"and {place.name} is not one"
+                f"only a point of the front can be held, and {place.name} is not one "
+                f"(hold_evaluations is {request.hold_evaluations})"
             )
         target = Target(place.setpoint, anyway=request.anyway)
         self._check(run, target, place, request.hold_evaluations)
