@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 
 from launcher.environment import OFFLINE_STAGES, STAGES
@@ -27,6 +28,7 @@ def campaign(options: argparse.Namespace) -> None:
     """
     runs_dir: Path = options.runs_dir.resolve()
     arguments: list[object] = []
+    facts: dict[str, object] = {}
     for name in ("workers", "evaluations", "seed", "listen"):
         if getattr(options, name) is not None:
             arguments.append(f"--{name}={getattr(options, name)}")
@@ -38,18 +40,22 @@ def campaign(options: argparse.Namespace) -> None:
             folder = RunFolder.create_after(earlier, options.run_id)
             config = earlier.path / CONFIG_FILE
             arguments.append(f"--resume={earlier.path}")
+            facts["resumed_from"] = earlier.run_id
         else:
             config = options.config.resolve()
             if not config.is_file():
                 raise UsageError(f"the configuration '{options.config}' is not a file")
             folder = RunFolder.create(runs_dir, options.run_id, config.stem)
             arguments.append(f"--config={config}")
+        facts["arguments"] = {"config": str(config), "seed": options.seed}
         if config.is_file():
             shutil.copyfile(config, folder.path / CONFIG_FILE)
-        _carry_out(project, folder, arguments)
+        _carry_out(project, folder, arguments, facts)
 
 
-def _carry_out(project: Project, folder: RunFolder, arguments: list[object]) -> None:
+def _carry_out(
+    project: Project, folder: RunFolder, arguments: list[object], how: Mapping[str, object]
+) -> None:
     """Simulate until the budget is used up, and create the report."""
     facts = {
         "run_id": folder.run_id,
@@ -57,6 +63,7 @@ def _carry_out(project: Project, folder: RunFolder, arguments: list[object]) -> 
         "started": now(),
         "pid": os.getpid(),
         "pid_started": process_start(os.getpid()),
+        **how,
     }
     folder.record(facts)
     state, reason = "failed", "mobo.py met an error of its own"

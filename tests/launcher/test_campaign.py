@@ -36,6 +36,7 @@ def test_a_campaign_ends_with_its_folder_and_a_report(project: FakeProject) -> N
     config = project.root / "config" / "campaign.yaml"
     assert project.arguments("campaign")[-3:] == [str(folder), "--workers=3", f"--config={config}"]
     assert (folder / "config.yaml").read_text() == config.read_text()
+    assert facts(project, "one")["arguments"] == {"config": str(config), "seed": None}
 
 
 def test_a_campaign_is_continued_beside_the_earlier_one(project: FakeProject) -> None:
@@ -47,6 +48,7 @@ def test_a_campaign_is_continued_beside_the_earlier_one(project: FakeProject) ->
     earlier = project.root / "runs" / "one"
     given = ["--evaluations=90", "--listen=10.0.0.1", f"--resume={earlier}"]
     assert project.arguments("campaign")[-3:] == given
+    assert facts(project, "one-2")["resumed_from"] == "one"
 
 
 def test_a_campaign_that_is_refused_leaves_no_folder(project: FakeProject) -> None:

@@ -127,3 +127,12 @@ def test_an_address_of_another_host_is_refused(tmp_path: Path) -> None:
         Hosts("192.0.2.1", {"command": "true", "timeout": 1.0}, tmp_path)
     with pytest.raises(ParameterError, match="no campaign"):
         worker.join(tmp_path, 0.0)
+
+
+@pytest.mark.parametrize("patience", ["-1", "nan", "soon"])
+def test_a_patience_that_is_no_duration_is_refused(
+    patience: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        worker.main([str(tmp_path), f"--patience={patience}"])
+    assert f"--patience: '{patience}' is not a number of at least 0" in capsys.readouterr().err

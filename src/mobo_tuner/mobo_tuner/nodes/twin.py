@@ -204,10 +204,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("folder", type=Path, help="folder of the campaign's run")
     parser.add_argument(
-        "--patience", type=float, default=300.0, help="longest wait for machine and campaign [s]"
+        "--patience",
+        type=worker.seconds,
+        default=300.0,
+        help="longest wait for machine and campaign [s]",
     )
     parser.add_argument(
-        "--machine-timeout", type=float, default=5.0, help="silence that means a lost machine [s]"
+        "--machine-timeout",
+        type=worker.seconds,
+        default=5.0,
+        help="silence that means a lost machine [s]",
     )
     options = parser.parse_args(remove_ros_args(["twin", *words])[1:])
     context = Context()

@@ -139,6 +139,19 @@ def _receive(campaign: Connection) -> bytes:
     return campaign.recv_bytes()
 
 
+def seconds(text: str) -> float:
+    """Return the duration [s] that an option gives.
+
+    Raises:
+        argparse.ArgumentTypeError: If it is not a number of at least 0.
+    """
+    with contextlib.suppress(ValueError):
+        duration = float(text)
+        if duration >= 0.0:
+            return duration
+    raise argparse.ArgumentTypeError(f"{text!r} is not a number of at least 0")
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Work for one campaign; return the exit status."""
     parser = argparse.ArgumentParser(
@@ -146,7 +159,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("folder", type=Path, help="folder of the campaign's run")
     parser.add_argument(
-        "--patience", type=float, default=300.0, help="longest wait for the campaign [s]"
+        "--patience", type=seconds, default=300.0, help="longest wait for the campaign [s]"
     )
     options = parser.parse_args(arguments)
     try:
