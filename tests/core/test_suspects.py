@@ -11,6 +11,7 @@ import pytest
 
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.core.gaussian_process import GaussianProcess
+from mobo_tuner.core.one_hot import OneHot
 from mobo_tuner.core.suspects import find_suspects
 
 PROBLEM = Problem.from_dict(
@@ -170,3 +171,20 @@ def test_a_withdrawn_reading_counts_nowhere_and_can_be_taken_back() -> None:
     assert optimizer.hypervolume < 5.0
     optimizer.unforget(8)
     assert optimizer.hypervolume_measured == pytest.approx(9.0)
+
+
+def test_other_choices_without_an_order_confirm_nothing() -> None:
+    places = np.linspace(-1.0, 1.0, 5)
+    rng = np.random.default_rng(1)
+    x = np.column_stack([rng.choice(places, 40), rng.uniform(-1.0, 1.0, 40)])
+    y = np.sin(3.0 * x[:, 1]) + (x[:, 0] == places[3])
+    x[7:9] = [[places[1], 0.1], [places[2], 0.12]]
+    y[7:9] = 30.0
+    kept = np.delete(np.arange(40), [7, 8])
+    suspected = []
+    for one_hot in (None, OneHot([places, None])):
+        model = GaussianProcess(one_hot=one_hot).fit(x[kept], y[kept])
+        rng = np.random.default_rng(0)
+        found = find_suspects(model, x, y, np.full(40, np.nan), np.array([7, 8]), rng)
+        suspected.append(found.tolist())
+    assert suspected == [[], [7, 8]]

@@ -345,10 +345,15 @@ def barriers(page: Page) -> list[str]:
 
 def test_people_with_aids_can_read_and_act(page: Page) -> None:
     for way in ("in the dark", "in the light"):
-        deadline = time.monotonic() + 10.0
-        while barriers(page) and time.monotonic() < deadline:
-            page.wait_for_timeout(300)  # colours change slowly
-        assert barriers(page) == [], way
+        for tab in ("Models", "History", "All coordinates"):
+            page.get_by_role("tab", name=tab).click()
+            page.wait_for_selector(
+                ".history-table tbody" if tab == "History" else ".details canvas"
+            )
+            deadline = time.monotonic() + 10.0
+            while barriers(page) and time.monotonic() < deadline:
+                page.wait_for_timeout(300)  # colours change slowly
+            assert barriers(page) == [], f"{tab} {way}"
         page.get_by_role("button", name="light or dark").click()
 
 

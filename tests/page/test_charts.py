@@ -267,3 +267,23 @@ def test_the_models_say_for_which_contexts_they_speak() -> None:
     content = {"contexts": {"hall": 22.456, "flow": None}}
     assert model_charts.at_contexts(content, problem) == ", for the last reading of hall 22.46 degC"
     assert model_charts.at_contexts({}, problem) == ""
+
+
+def test_objectives_that_span_decades_have_logarithmic_axes() -> None:
+    run = RunBoard("run")
+    run.problem = make_problem(2)
+    for index in range(12):
+        values = {"f0": 10.0 ** (index - 8), "f1": 1.0}
+        diagnostics = {name: (value, 1e-5) for name, value in values.items()}
+        made = make_evaluation(index, 2)
+        run.add(replace(made, objectives=values, diagnostics=diagnostics))
+    found = [Point(e.index, e.setpoint, e.objectives, {}) for e in run.evaluations]
+    run.front = Front("run", tuple(found), 1.0, 1.0, {}, {})
+    front = charts.front(run, "f0", "f1", None, chart_parts.DARK)
+    assert (front["xAxis"][0]["type"], front["yAxis"][0]["type"]) == ("log", "value")
+    assert front["xAxis"][0]["min"] == pytest.approx(1e-8)
+    parallel = charts.parallel(run, None, chart_parts.DARK)["parallelAxis"]
+    assert [axis.get("type") for axis in parallel[:2]] == ["log", None]
+    trace = traces.diagnostic(run, "f0", "", chart_parts.DARK)
+    assert trace["yAxis"][0]["type"] == "log"
+    assert all(bar[3] > 0.0 for bar in series(trace, "standard deviation"))

@@ -18,6 +18,8 @@ import pytest
 from mobo_tuner.runs.journal import append_record, journal_line, read_journal
 from mobo_tuner.runs.recorded_run import RecordedRun
 from mobo_tuner.runs.records import ForgetRecord, to_json
+from mobo_tuner.runs.report import plots
+from mobo_tuner.runs.report.comparison import render_comparison
 from mobo_tuner.runs.report.models import model_facts
 from mobo_tuner.runs.report.page import duration, failures, number, render_page
 from robustness.offline_run import OfflineRun, toy, toy_optimizer
@@ -94,6 +96,17 @@ def partly_measured(folder: Path) -> Path:
     return write_run(folder, [evaluation(i, v) for i, v in enumerate(values)])
 
 
+def spanning_decades(folder: Path) -> Path:
+    variables = {"x": {"min": 1e-4, "max": 1.0, "scale": "log"}}
+    problem = TWO | {"variables": variables, "constraints": {}}
+    values = [{"f1": 10.0 ** (2 - i), "f2": 10.0 ** (i - 8)} for i in range(10)]
+    setpoints = [{"x": 10.0 ** (-0.4 * i)} for i in range(10)]
+    made = [
+        evaluation(i, v, setpoint=s) for i, (v, s) in enumerate(zip(values, setpoints, strict=True))
+    ]
+    return write_run(folder, made, problem)
+
+
 def never_measured(folder: Path) -> Path:
     return write_run(folder, [evaluation(i, {"f1": 2.0 + i}, feasible=False) for i in range(5)])
 
@@ -126,6 +139,7 @@ def changed_and_resumed(folder: Path) -> Path:
         no_evaluation,
         partly_measured,
         never_measured,
+        spanning_decades,
         reference_left_out,
         changed_and_resumed,
         lambda folder: seven_objectives(folder, 1),
@@ -136,6 +150,15 @@ def test_every_run_has_a_page(make: Callable[[Path], Path], tmp_path: Path) -> N
     text = read(make(tmp_path / "run"))
     for title in ("Recommended points", "Convergence", "Fronts", "Models", "Reproduce"):
         assert title in text
+
+
+def test_what_spans_decades_has_logarithmic_axes(tmp_path: Path) -> None:
+    run = RecordedRun.load(spanning_decades(tmp_path / "run"))
+    (front,), (trace,) = plots.fronts(run, []), plots.trajectories(run)
+    assert (front.x.log, front.y.log, trace.y.log) == (True, True, True)
+    assert [axis.log for axis in plots.parallel_coordinates(run, []).axes] == [True] * 3
+    compared = render_comparison([run, run])
+    assert ">10⁻⁵</text>" in compared
 
 
 def test_the_summary_in_words(mixed: Path) -> None:

@@ -116,3 +116,28 @@ def test_parallel_lines_end_at_their_axes_and_break_where_nothing_was_measured()
     heights = [float(corner.split()[1]) for corner in re.split("[ML]", whole)[1:]]
     assert heights[0] > heights[1] == heights[2], "what is above the axis is at its upper end"
     assert broken.count("L") == 0
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "texts"),
+    [
+        (1.0, 100.0, ["1", "3", "10", "30", "100"]),
+        (0.05, 0.6, ["0.05", "0.1", "0.2", "0.5"]),
+        (1e-9, 1e9, ["10⁻⁹", "10⁻⁵", "0.1", "1000", "10⁷"]),
+    ],
+)
+def test_a_logarithmic_axis_has_ticks_at_powers_of_ten(
+    low: float, high: float, texts: list[str]
+) -> None:
+    ticks, power = Axis(low, high, log=True).ticks(5)
+    assert ([text for _, text in ticks], power) == (texts, "")
+
+
+def test_equal_ratios_are_equally_far_apart_on_a_logarithmic_axis() -> None:
+    axis = Axis.around([0.0, 1.0, math.nan, 10000.0], margin=0.0, log=True)
+    assert (axis.low, axis.high) == pytest.approx((1.0, 10000.0))
+    plot = Plot(Axis(0.0, 4.0), axis, size=(330, 220))
+    plot.line([0.0, 2.0, 3.0, 4.0], [1.0, 100.0, -1.0, 10000.0], "k-a")
+    (path,) = re.findall(r' d="(M[^"]*)"/></svg>', plot.render())
+    heights = [float(place.split()[1]) for place in re.split("[ML]", path)[1:]]
+    assert heights[0] - heights[1] == pytest.approx(heights[1] - heights[2], abs=0.2)

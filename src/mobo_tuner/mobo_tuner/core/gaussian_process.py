@@ -156,7 +156,7 @@ class GaussianProcess:
         """
         d = None if self._state is None else self._d
         inputs, outputs, noise = _checked_data(x, y, stddev, d)
-        seen = self._seen(inputs)
+        seen = self.seen(inputs)
         kernel = self.settings.make_kernel(seen.shape[1], self.contexts)
         generator = np.random.default_rng(0) if rng is None else rng
         starts = self.settings.restarts if restarts is None else restarts
@@ -258,7 +258,7 @@ class GaussianProcess:
         with single_blas_thread():
             z = model.scaling.standardise(inputs, outputs)
             add = posterior.add if len(outputs) == 1 else posterior.add_all
-            add(self._seen(inputs), z, self._noise(model, outputs, noise))
+            add(self.seen(inputs), z, self._noise(model, outputs, noise))
         self._state = _State(model, posterior, all_outputs, all_noise, all_inputs)
         return self
 
@@ -272,7 +272,7 @@ class GaussianProcess:
         model, posterior, *_ = self._fitted
         inputs = self._whole_inputs(x)
         with single_blas_thread():
-            mean, stddev = posterior.predict(self._seen(inputs))
+            mean, stddev = posterior.predict(self.seen(inputs))
         return model.scaling.to_output(*model.scaling.unstandardise(inputs, mean, stddev))
 
     def predict_with_gradient(self, x: ArrayLike) -> Prediction:
@@ -281,7 +281,7 @@ class GaussianProcess:
         inputs = self._whole_inputs(x)
         d = np.shape(x)[1]
         with single_blas_thread():
-            mean, stddev, gradients = posterior.predict_with_gradient(self._seen(inputs))
+            mean, stddev, gradients = posterior.predict_with_gradient(self.seen(inputs))
         if self._one_hot is not None:
             gradients = Gradients(*map(self._one_hot.pull_back, gradients))
         # The gradient comes first: most models give their values with it.
@@ -311,7 +311,7 @@ class GaussianProcess:
         model, posterior, *_ = self._fitted
         inputs = self._whole_inputs(x)
         with single_blas_thread():
-            mean, root = posterior.joint(self._seen(inputs))
+            mean, root = posterior.joint(self.seen(inputs))
             drawn = model.scaling.prior_mean(inputs) + model.scaling.scale * (
                 mean + normals @ root.T
             )
@@ -322,7 +322,7 @@ class GaussianProcess:
         model, posterior, *_ = self._fitted
         inputs = np.vstack([self._whole_inputs(x[None]), self._whole_inputs(others)])
         with single_blas_thread():
-            _, root = posterior.joint(self._seen(inputs))
+            _, root = posterior.joint(self.seen(inputs))
         covariance = root @ root.T
         variances = np.diagonal(covariance) + float(np.exp(model.parameters[-1]))
         return np.asarray(covariance[0, 1:] / np.sqrt(covariance[0, 0] * variances[1:]))
@@ -330,7 +330,7 @@ class GaussianProcess:
     def prior_correlations(self, x: FloatArray) -> FloatArray:
         """Return the correlations of the function at the first of x `(m, d)` with the others, without observations."""
         _, posterior, *_ = self._fitted
-        scaled = self._seen(self._whole_inputs(x)) @ posterior.factor
+        scaled = self.seen(self._whole_inputs(x)) @ posterior.factor
         distances = np.square(scaled[1:] - scaled[0]).sum(axis=1)
         return posterior.kernel.profile(distances)[0]
 
@@ -464,7 +464,7 @@ class GaussianProcess:
     def noise_at(self, x: FloatArray) -> float:
         """Return the standard deviation of one observation near x `(d,)`: learned, and known at the nearest one."""
         model, posterior, y, stddev, _ = self._fitted
-        here = self._seen(self._whole_inputs(x[None]))
+        here = self.seen(self._whole_inputs(x[None]))
         nearest = int(np.square(posterior.x - here).sum(axis=1).argmin())
         fixed = 0.0 if isinstance(self.settings.noise, str) else self.settings.noise
         is_log = isinstance(model.scaling.transform, Logarithm)
@@ -541,7 +541,7 @@ class GaussianProcess:
         if not fitted["d"] > contexts >= 0:
             raise ValueError(f"the state has {fitted['d']} inputs, of which nobody sets {contexts}")
         inputs, outputs, noise = _checked_data(x, y, stddev, fitted["d"])
-        kernel = settings.make_kernel(restored._seen(inputs).shape[1], contexts)
+        kernel = settings.make_kernel(restored.seen(inputs).shape[1], contexts)
         restored._trained = {
             name: _hyperparameters(values, kernel) for name, values in state["trained"].items()
         }
@@ -568,7 +568,7 @@ class GaussianProcess:
         inputs = as_inputs(x, d - self.contexts)
         return np.column_stack([inputs, np.tile(self.now, (len(inputs), 1))])
 
-    def _seen(self, x: FloatArray) -> FloatArray:
+    def seen(self, x: FloatArray) -> FloatArray:
         """Return inputs as the kernel sees them, with a column for each unordered choice."""
         return x if self._one_hot is None else self._one_hot.expand(x)
 
@@ -591,7 +591,7 @@ class GaussianProcess:
         variance = float(np.exp(model.parameters[-2]))
         z = model.scaling.standardise(x, y)
         noise = self._noise(model, y, stddev)
-        posterior = Posterior(kernel, model.parameters[:-2], variance, self._seen(x), z, noise)
+        posterior = Posterior(kernel, model.parameters[:-2], variance, self.seen(x), z, noise)
         return _State(model, posterior, y, stddev, x)
 
     def _noise(self, model: _Model, y: FloatArray, stddev: FloatArray) -> FloatArray:

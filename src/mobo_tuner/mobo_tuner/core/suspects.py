@@ -21,7 +21,7 @@ _RULED_OUT = 10.0  # standard deviations from the prediction of all others
 _DOUBTFUL = 3.0  # the same where another output of the evaluation is suspected
 _LEAST_SHARE = 0.4  # of the others' range by which it is off
 _MOST_SHARE = 0.1  # of all readings that may be suspected
-_NEARBY = 0.5  # largest distance in any normalised input at which readings confirm each other
+_NEARBY = 0.5  # largest distance in any input of the kernel at which readings confirm each other
 _ALIKE = 3.0  # largest ratio of the deviations of readings that confirm each other
 
 
@@ -65,7 +65,7 @@ def find_suspects(
         deviation = _deviation(model, x[i], float(y[i]), float(stddev[i]))
         if deviation is not None:
             suspects[int(i)] = deviation
-    found = sorted(i for i in suspects if not _is_confirmed(i, suspects, x))
+    found = sorted(i for i in suspects if not _is_confirmed(i, suspects, model.seen(x)))
     few = len(found) <= max(1, int(_MOST_SHARE * len(y)))
     return np.array(found if few else [], dtype=np.intp)
 
@@ -112,7 +112,13 @@ def _deviation(model: GaussianProcess, x: Array, y: float, stddev: float) -> flo
 
 
 def _is_confirmed(i: int, deviations: dict[int, float], x: Array) -> bool:
-    """Return whether another reading nearby deviates in the same way."""
+    """Return whether another reading nearby deviates in the same way.
+
+    Args:
+        i: Row of the reading.
+        deviations: Deviations of the suspects by their rows.
+        x: Inputs as the kernel sees them, where every other choice without an order is far.
+    """
     for j, other in deviations.items():
         alike = other * deviations[i] > 0.0 and 1.0 / _ALIKE <= other / deviations[i] <= _ALIKE
         if j != i and alike and np.abs(x[i] - x[j]).max() <= _NEARBY:

@@ -13,6 +13,7 @@ import numpy as np
 
 from mobo_tuner.client import Evaluation, Point
 from mobo_tuner.core.problem import Objective, Problem, Variable
+from mobo_tuner.core.units import spans_decades
 from mobo_tuner.displays.evaluations import Number
 from mobo_tuner.displays.settings import labelled
 from mobo_tuner.page.board import RunBoard
@@ -183,7 +184,11 @@ def parallel(run: RunBoard, chosen: int | None, colours: Colours) -> Options:
     points = run.front.points[:MAX_LINES] if run.front is not None else ()
     variables = [v for v in problem.variables if v.fixed is None]
     axes = [
-        *(_parallel_axis(i, o.name, o.unit, colours) for i, o in enumerate(problem.objectives)),
+        *(
+            _parallel_axis(i, o.name, o.unit, colours)
+            | _scale_of([p.objectives.get(o.name, math.nan) for p in points])
+            for i, o in enumerate(problem.objectives)
+        ),
         *(
             _bounded(_parallel_axis(i, v.name, v.unit, colours), v)
             for i, v in enumerate(variables, start=len(problem.objectives))
@@ -219,15 +224,19 @@ def parallel(run: RunBoard, chosen: int | None, colours: Colours) -> Options:
 
 
 def _objective_axis(
-    objective: Objective, values: Iterable[float | None], colours: Colours, gap: int
+    objective: Objective, values: Sequence[float | None], colours: Colours, gap: int
 ) -> Options:
     """Return an axis that shows the points and the reference, whatever lies far out."""
     arrow = "less is better" if objective.sign > 0 else "more is better"
+    name = f"{labelled(objective.name, objective.unit)}, {arrow}"
     known = [v for v in (*values, objective.reference) if v is not None and math.isfinite(v)]
     low, high = min(known, default=0.0), max(known, default=1.0)
+    if spans_decades([v for v in values if v is not None]) and low > 0.0:
+        least, most = math.floor(math.log10(low)), math.ceil(math.log10(high))
+        return axis(name, colours, gap, type="log", min=10.0**least, max=10.0**most)
     margin = 0.06 * (high - low) or 0.06 * abs(high) or 1.0
     return axis(
-        f"{labelled(objective.name, objective.unit)}, {arrow}",
+        name,
         colours,
         gap,
         bare_ends=True,
@@ -265,6 +274,11 @@ def _parallel_axis(position: int, name: str, unit: str, colours: Colours) -> Opt
         "axisLine": {"lineStyle": {"color": colours.faint}},
         "splitNumber": 3,
     }
+
+
+def _scale_of(values: Sequence[float]) -> Options:
+    """Return what the axis of measured values needs if they span decades."""
+    return {"type": "log"} if spans_decades(values) else {}
 
 
 def _bounded(axis: Options, variable: Variable) -> Options:

@@ -11,6 +11,7 @@ from nicegui import ui
 from mobo_tuner.errors import UserError
 from mobo_tuner.page import charts
 from mobo_tuner.page.board import RunBoard
+from mobo_tuner.page.chart_parts import NUMBER
 from mobo_tuner.page.found import CHOICE, EMPTY, show
 from mobo_tuner.page.history import History, PastRun
 from mobo_tuner.page.viewer import Viewer
@@ -26,6 +27,8 @@ _COLUMNS = (
     ("hypervolume", "hypervolume", "right"),
     ("reason", "reason", "left"),
 )
+
+_SHOWN = f"(value) => value === null ? '' : ({NUMBER})(Number(value.toPrecision(4)))"
 
 
 class HistoryPanel:
@@ -49,6 +52,7 @@ class HistoryPanel:
         self._table = ui.table(
             columns=[
                 {"name": name, "label": label, "field": name, "align": align, "sortable": True}
+                | ({":format": _SHOWN} if name == "hypervolume" else {})
                 for name, label, align in _COLUMNS
             ],
             rows=[],

@@ -6,6 +6,7 @@ import math
 
 from mobo_tuner.client import Evaluation
 from mobo_tuner.core.problem import Variable
+from mobo_tuner.core.units import spans_decades
 from mobo_tuner.displays.settings import labelled
 from mobo_tuner.page.board import RunBoard
 from mobo_tuner.page.chart_parts import (
@@ -78,6 +79,10 @@ def diagnostic(run: RunBoard, name: str, unit: str, colours: Colours) -> Options
     for evaluation, mean, stddev in known:
         spread = stddev if math.isfinite(stddev) else 0.0
         bars.append([evaluation.index, mean, mean, mean - spread, mean + spread])
+    scale = {}
+    if spans_decades([mean for _, mean, _ in known]):
+        scale = {"type": "log"}
+        bars = [bar for bar in bars if bar[3] > 0.0]  # the others have no lower end there
     constraints = [c for c in problem.constraints if c.name == name]
     ends = [end for c in constraints for end in (c.minimum, c.maximum) if math.isfinite(end)]
     # The limits are in words, too: those far from all readings lie outside of the plot.
@@ -87,7 +92,7 @@ def diagnostic(run: RunBoard, name: str, unit: str, colours: Colours) -> Options
         title=title(said, colours),
         grid=[{"left": 54, "right": 14, "top": 34, "bottom": 26}],
         xAxis=[axis("", colours, 0, min=0, minInterval=1)],
-        yAxis=[axis("", colours, 0)],
+        yAxis=[axis("", colours, 0) | scale],
         series=[
             error_bars("standard deviation", bars, colours),
             {

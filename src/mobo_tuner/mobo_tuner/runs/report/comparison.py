@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from mobo_tuner.core.problem import Objective
-from mobo_tuner.core.units import product_of_units
+from mobo_tuner.core.units import product_of_units, spans_decades
 from mobo_tuner.files import replace_file
 from mobo_tuner.runs.journal import JournalError
 from mobo_tuner.runs.recorded_run import RecordedRun
@@ -80,7 +80,11 @@ def _fronts(runs: Sequence[RecordedRun], names: Sequence[str]) -> list[Plot]:
     for pair in pairs:
         columns = [objectives.index(objective) for objective in pair]
         x, y = (
-            Axis.around(everything[:, column], label(objective))
+            Axis.around(
+                everything[:, column],
+                label(objective),
+                log=spans_decades(everything[:, column]),
+            )
             for column, objective in zip(columns, pair, strict=True)
         )
         plot = Plot(x, y, size=LARGE if len(pairs) == 1 else SMALL)

@@ -10,7 +10,7 @@ import numpy as np
 
 from mobo_tuner.core.pareto import is_nondominated
 from mobo_tuner.core.problem import Array, Objective, Problem, Variable
-from mobo_tuner.core.units import product_of_units
+from mobo_tuner.core.units import product_of_units, spans_decades
 from mobo_tuner.runs.recorded_run import RecordedRun
 from mobo_tuner.runs.report.figures import staircase
 from mobo_tuner.runs.report.models import ModelFacts
@@ -75,7 +75,7 @@ def parallel_coordinates(run: RecordedRun, recommended: Sequence[Recommendation]
     others = np.setdiff1d(np.flatnonzero(run.feasible), run.front)
     labels = [label(o) for o in problem.objectives]
     axes = [
-        Axis.around(column, text, margin=0.0)
+        Axis.around(column, text, margin=0.0, log=spans_decades(column))
         for column, text in zip(
             _front_or(front, values[run.feasible], values).T, labels, strict=False
         )
@@ -86,6 +86,7 @@ def parallel_coordinates(run: RecordedRun, recommended: Sequence[Recommendation]
             v.rank(v.maximum),
             f"{v.name} [{v.unit}]" if v.unit else v.name,
             named=_choices(v),
+            log=v.scale == "log",
         )
         for v in problem.variables
     ]
@@ -120,7 +121,11 @@ def trajectories(run: RecordedRun) -> list[Plot]:
         plot = Plot(
             _indices(run),
             replace(
-                Axis.around(shown, f"[{variable.unit}]" if variable.unit else ""),
+                Axis.around(
+                    shown,
+                    f"[{variable.unit}]" if variable.unit else "",
+                    log=variable.scale == "log",
+                ),
                 named=_choices(variable),
             ),
             name,
@@ -151,11 +156,10 @@ def constraints(run: RecordedRun) -> list[Plot]:
         values, stddevs = run.readings(constraint.name)
         values = np.where(run.valid, values, np.nan)
         limits = [v for v in (constraint.minimum, constraint.maximum) if np.isfinite(v)]
-        low, high = _bulk(values, limits)
         unit = constraint.unit or run.problem.units.get(constraint.name, "")
         plot = Plot(
             _indices(run),
-            Axis.around([low, high], f"[{unit}]" if unit else "", margin=0.08),
+            _axis(values, limits, f"[{unit}]" if unit else "", margin=0.08),
             constraint.name,
             SMALL,
         )
@@ -172,7 +176,8 @@ def contexts(run: RecordedRun) -> list[Plot]:
     plots = []
     for context in run.problem.context:
         values, stddevs = run.readings(context.name)
-        axis = Axis.around(values, f"[{context.unit}]" if context.unit else "", margin=0.08)
+        text = f"[{context.unit}]" if context.unit else ""
+        axis = Axis.around(values, text, margin=0.08, log=spans_decades(values))
         plot = Plot(_indices(run), axis, context.name, SMALL)
         plot.line(run.indices, values, "k-faint")
         plot.spans(run.indices, values - stddevs, values + stddevs, "k-e thin")
@@ -185,14 +190,11 @@ def quality(facts: Sequence[ModelFacts]) -> list[Plot]:
     """Return predicted against measured of each output, each reading predicted from all others."""
     plots = []
     for fact in facts:
-        low, high = _bulk(np.concatenate([fact.measured, fact.predicted]), (), 2.0)
         unit = f" [{fact.unit}]" if fact.unit else ""
-        plot = Plot(
-            Axis.around([low, high], f"measured{unit}"),
-            Axis.around([low, high], "predicted"),
-            fact.name,
-            size=SQUARE,
-        )
+        both = np.concatenate([fact.measured, fact.predicted])
+        across = _axis(both, (), f"measured{unit}", share=2.0)
+        plot = Plot(across, replace(across, label="predicted"), fact.name, size=SQUARE)
+        low, high = across.low, across.high
         plot.line([low, high], [low, high], "k-e dashed thin")
         ends = (fact.predicted - fact.stddevs, fact.predicted + fact.stddevs)
         plot.spans(fact.measured, *ends, "k-faint")
@@ -231,8 +233,7 @@ def _front_of_pair(
     xy, front = run.objectives[:, columns], run.front_objectives[:, columns]
     two = len(run.problem.objectives) == 2
     needed = np.vstack([front, *([signs * reference] if two else [])])
-    ends = [_bulk(xy[run.valid, j], needed[:, j]) for j in range(2)]
-    x, y = (Axis.around(e, label(o)) for e, o in zip(ends, (across, up), strict=True))
+    x, y = (_axis(xy[run.valid, j], needed[:, j], label(o)) for j, o in enumerate((across, up)))
     plot = Plot(x, y, "", size)
     for objective, draw in ((across, plot.upright), (up, plot.level)):
         draw(objective.reference, "k-e dashed thin", "reference")
@@ -265,8 +266,8 @@ def _front_of_pair(
 def _best_value(run: RecordedRun) -> Plot:
     (objective,) = run.problem.objectives
     values = np.where(run.valid, run.objectives[:, 0], np.nan)
-    low, high = _bulk(values, [objective.reference, *run.front_objectives[:, 0]])
-    plot = Plot(_indices(run), Axis.around([low, high], label(objective)), size=MIDDLE)
+    needed = [objective.reference, *run.front_objectives[:, 0]]
+    plot = Plot(_indices(run), _axis(values, needed, label(objective)), size=MIDDLE)
     plot.level(objective.reference, "k-e dashed thin", "reference")
     feasible = np.where(run.feasible, objective.sign * values, np.inf)
     best = np.minimum.accumulate(feasible) if len(feasible) else feasible
@@ -308,6 +309,21 @@ def _indices(run: RecordedRun) -> Axis:
 def _front_or(*choices: Array) -> Array:
     """Return the first of some arrays that has a finite row, or the last."""
     return next((c for c in choices if np.isfinite(c).all(axis=1).any()), choices[-1])
+
+
+def _axis(
+    values: Array,
+    needed: Sequence[float] | Array,
+    text: str,
+    *,
+    margin: float = 0.05,
+    share: float = 10.0,
+) -> Axis:
+    """Return an axis for measured values, logarithmic if they span decades; see `_bulk`."""
+    if spans_decades(values) and all(v > 0.0 for v in needed if np.isfinite(v)):
+        low, high = _bulk(np.log10(values), np.log10(needed), share)
+        return Axis.around([10.0**low, 10.0**high], text, margin=margin, log=True)
+    return Axis.around(_bulk(values, needed, share), text, margin=margin)
 
 
 def _bulk(

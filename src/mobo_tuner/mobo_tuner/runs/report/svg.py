@@ -37,6 +37,7 @@ class Axis:
         label: What it shows, with its unit.
         integer: Whether only integers get a tick.
         named: Places of the only ticks, with their texts; empty = ticks at round numbers.
+        log: Whether equal ratios are equally far apart; both ends are positive.
     """
 
     low: float
@@ -44,6 +45,7 @@ class Axis:
     label: str = ""
     integer: bool = False
     named: Sequence[tuple[float, str]] = ()
+    log: bool = False
 
     def __post_init__(self) -> None:
         """Keep the ends, and so their distance, finite."""
@@ -53,11 +55,23 @@ class Axis:
 
     @classmethod
     def around(
-        cls, values: ArrayLike, label: str = "", *, margin: float = 0.05, integer: bool = False
+        cls,
+        values: ArrayLike,
+        label: str = "",
+        *,
+        margin: float = 0.05,
+        integer: bool = False,
+        log: bool = False,
     ) -> Axis:
-        """Return an axis that shows all finite values, with a margin as a share of their range."""
+        """Return an axis that shows all finite values, with a margin as a share of their range.
+
+        If it is logarithmic, it shows the positive ones.
+        """
         known = np.asarray(values, dtype=float).ravel()
         known = known[np.isfinite(known)]
+        if log and (known > 0.0).any():
+            ends = cls.around(np.log10(known[known > 0.0]), margin=margin)
+            return cls(10.0**ends.low, 10.0**ends.high, label, log=True)
         if not len(known):
             return cls(0.0, 1.0, label, integer)
         low, high = float(known.min()), float(known.max())
@@ -68,6 +82,8 @@ class Axis:
         """Return positions and texts of about `count` ticks, and the power of ten that they share."""
         if self.named:
             return list(self.named), ""
+        if self.log:
+            return self._log_ticks(count), ""
         low, high = self.low, self.high
         raw = (high - low) / max(count, 1)
         step = 10.0 ** math.floor(math.log10(raw)) if raw > 0.0 else 1.0
@@ -83,6 +99,18 @@ class Axis:
         power = f"×10{raised(exponent)}" if exponent else ""
         digits = max(0, exponent - math.floor(math.log10(step) + 1e-9))
         return [(v, _trimmed(v / 10.0**exponent, digits)) for v in values], power
+
+    def _log_ticks(self, count: int) -> list[tuple[float, str]]:
+        """Return ticks at powers of ten, and at 2 and 5 times these if there is room."""
+        first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
+        step = max(1, math.ceil((last - first - 1) / max(count, 1)))
+        for factors in ((1, 2, 5), (1, 3), (1,)):
+            decades = range(first, last + 1, step if len(factors) == 1 else 1)
+            values = [factor * 10.0**decade for decade in decades for factor in factors]
+            inside = [v for v in values if self.low * (1 - 1e-9) <= v <= self.high * (1 + 1e-9)]
+            if len(inside) <= count + 1:
+                break
+        return [(value, _power(value)) for value in inside]
 
 
 @dataclass
@@ -328,8 +356,11 @@ class ParallelAxes:
 
 def _scaled(values: ArrayLike, axis: Axis, start: float, end: float) -> Array:
     """Return places between `start` and `end`, where the axis has its low and its high end."""
-    width = axis.high - axis.low
-    shares = (np.asarray(values, dtype=float) - axis.low) / (width if width > 0.0 else 1.0)
+    numbers, low, high = np.asarray(values, dtype=float), axis.low, axis.high
+    if axis.log:
+        numbers = np.log10(np.where(numbers > 0.0, numbers, np.nan))
+        low, high = math.log10(low), math.log10(high)
+    shares = (numbers - low) / (high - low if high > low else 1.0)
     places: NDArray[np.float64] = start + shares * (end - start)
     return places
 
@@ -345,6 +376,15 @@ def _polyline(x: Array, y: Array) -> str:
         else:
             pen = "M"
     return "".join(path)
+
+
+def _power(value: float) -> str:
+    """Return a number with one digit, as a power of ten if it is large or small."""
+    exponent = math.floor(math.log10(value) + 1e-9)
+    if -3 <= exponent < 5:
+        return f"{value:.1g}" if exponent < 0 else f"{value:.0f}"
+    digit = round(value / 10.0**exponent)
+    return f"10{raised(exponent)}" if digit == 1 else f"{digit}×10{raised(exponent)}"
 
 
 def _trimmed(value: float, digits: int) -> str:
