@@ -128,11 +128,14 @@ class GoDialog(Dialog):
         point = self._point
         assert point is not None
         assert point.index is not None
+        hold = whole(self._hold.value, 0)
+        if hold is None:
+            return _refused("evaluations to hold it", self._hold.value, 0)
         self._dialog.close()
         self._viewer.say(
             Answer(True, f"the machine is sent to the point of evaluation {point.index}")
         )
-        answer = await self._commands.go(point.index, self._run_id, int(self._hold.value or 0))
+        answer = await self._commands.go(point.index, self._run_id, hold)
         self._viewer.say(answer)
         return answer
 
@@ -264,9 +267,10 @@ class MoreDialog(Dialog):
         super().open()
 
     async def _send(self) -> Answer:
-        status = self._viewer.board.status
-        total = status.evaluations + max(int(self._more.value or 0), 1)
-        return await self._commands.more(status.run_id, total)
+        status, more = self._viewer.board.status, whole(self._more.value, 1)
+        if more is None:
+            return _refused("evaluations more", self._more.value, 1)
+        return await self._commands.more(status.run_id, status.evaluations + more)
 
 
 def proposed(variable: Variable, value: float | None) -> float | None:
@@ -276,6 +280,17 @@ def proposed(variable: Variable, value: float | None) -> float | None:
     if variable.choices:
         return min(variable.choices, key=lambda choice: abs(choice - value))
     return float(f"{min(max(value, variable.minimum), variable.maximum):.6g}")
+
+
+def whole(value: Any, least: int) -> int | None:
+    """Return what a field holds as an integer of at least `least`; None if it is none."""
+    given = 0.0 if value is None else float(value)
+    return int(given) if given.is_integer() and given >= least else None
+
+
+def _refused(what: str, value: Any, least: int) -> Answer:
+    shown = "empty" if value is None else number(float(value))
+    return Answer(False, f"{what} is {shown}; an integer of at least {least} is allowed")
 
 
 def _float(value: Any) -> float:
