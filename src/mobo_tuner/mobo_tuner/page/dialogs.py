@@ -202,7 +202,10 @@ class QueueDialog(Dialog):
         super().open()
 
     async def _send(self) -> Answer:
-        setpoint = {name: _float(field.value) for name, field in self._fields.items()}
+        empty = [name for name, field in self._fields.items() if field.value is None]
+        if empty:
+            return Answer(False, f"{empty[0]} is empty; a number is allowed")
+        setpoint = {name: float(field.value) for name, field in self._fields.items()}
         return await self._commands.queue(setpoint)
 
 
@@ -291,7 +294,3 @@ def whole(value: Any, least: int) -> int | None:
 def _refused(what: str, value: Any, least: int) -> Answer:
     shown = "empty" if value is None else number(float(value))
     return Answer(False, f"{what} is {shown}; an integer of at least {least} is allowed")
-
-
-def _float(value: Any) -> float:
-    return math.nan if value is None else float(value)
