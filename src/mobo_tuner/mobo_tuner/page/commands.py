@@ -117,7 +117,8 @@ class Commands:
 
         def go() -> str:
             arrival: Arrival = self._client.go(index, run_id=run_id, hold=hold)
-            held = f" and held it for {arrival.evaluations} evaluations" if hold else ""
+            count = arrival.evaluations
+            held = f" and held it for {count} evaluation{'s' * (count != 1)}" if hold else ""
             there = f"the machine is at the point of evaluation {index}{held}"
             return f"{there}; {arrival.remark}" if arrival.remark else there
 
