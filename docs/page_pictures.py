@@ -77,7 +77,7 @@ SCENES: Sequence[tuple[str, Sequence[str], Sequence[Picture]]] = (
     ),
     (
         "toy.yaml",
-        ("--speed", "10", "--seed", "2", "--evaluations", "60"),
+        ("--speed", "10", "--seed", "2", "--evaluations", "300"),
         (Picture("page_history", 30, tab="History", part=".details", compared=("toy-1", "toy-2")),),
     ),
 )
@@ -155,9 +155,11 @@ def main() -> None:
         )
         for config, options, pictures in SCENES:
             with run(config, options, scratch) as address:
+                page = context.new_page()  # the last one waits for its own run
                 for picture in pictures:
                     if sys.argv[1:] or picture.name in SHIPPED:
-                        take(context.pages[0], address, picture, folder)
+                        take(page, address, picture, folder)
+                page.close()
         context.close()
 
 
