@@ -62,7 +62,8 @@ def test_what_cannot_be_told_is_refused_and_nothing_is_learned(
 
 
 @pytest.mark.parametrize(
-    "reading", [sys.float_info.max, -1e300, 3.4028234e38, math.inf, math.nan, None, -9999.0]
+    "reading",
+    [sys.float_info.max, -1e300, 3.4028234e38, 9.91e37, -9.9e37, math.inf, math.nan, None, -9999.0],
 )
 def test_a_sentinel_is_not_measured(reading: float | None) -> None:
     problem = PROBLEM | {"objectives": {"f": {"reference": 2.0, "invalid": [-9999]}}}

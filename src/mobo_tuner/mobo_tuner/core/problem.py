@@ -70,6 +70,7 @@ FARTHEST = 1e5
 cannot tell what lies farther away from one another."""
 ONE_FIDELITY = "but a machine has one fidelity only; 'mobo.py campaign' optimises simulations, which have several"
 """Reason why a problem with several fidelities is not tuned on a machine."""
+_LARGEST_READING = 9.8e37  # SCPI instruments give 9.9e37 for infinity and 9.91e37 for no number
 _SINGLE_PRECISION = 1e-6  # relative difference of a sentinel that passed through 32 bits
 
 
@@ -335,7 +336,7 @@ class Problem:
 
     def is_reading(self, name: str, value: float) -> bool:
         """Return whether a value of a diagnostic was measured: it is finite and not a sentinel."""
-        if not abs(value) <= self.largest_reading:
+        if not abs(value) <= min(self.largest_reading, _LARGEST_READING):
             return False
         quantities: list[Objective | Constraint | Observable] = [
             *self.objectives,
