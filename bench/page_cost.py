@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from itertools import count
 from pathlib import Path
 from statistics import median
 from typing import NamedTuple
@@ -69,11 +70,11 @@ class Course:
             )
         )
 
-    def wait_for(self, count: int) -> None:
+    def wait_for(self, wanted: int) -> None:
         """Wait until there are so many evaluations in all."""
         deadline = time.monotonic() + EVALUATION_TIMEOUT
         known = len(self.evaluations)
-        while len(self.evaluations) < count:
+        while len(self.evaluations) < wanted:
             if len(self.evaluations) > known:
                 known = len(self.evaluations)
                 deadline = time.monotonic() + EVALUATION_TIMEOUT
@@ -111,13 +112,16 @@ def measure(phases: int, evaluations: int, speed: float, scratch: Path) -> list[
         domain = stack.enter_context(RosDomain())
         os.environ.update(domain.environment, ROS_LOG_DIR=str(scratch))
 
+        numbers = count()  # of the processes, whose files must not be those of an earlier one
+
         def start(module: str, *parameters: str) -> NodeProcess:
             options = [word for text in parameters for word in ("-p", text)]
             file = () if module.endswith("page") else ("--params-file", str(CONFIG))
+            name = f"{module}-{next(numbers)}"
             process = NodeProcess.start(
                 *("-m", module, "--ros-args", *file, *options),
-                stdout_path=scratch / f"{module}.out",
-                stderr_path=scratch / f"{module}.err",
+                stdout_path=scratch / f"{name}.out",
+                stderr_path=scratch / f"{name}.err",
                 environment={**domain.environment, "OMP_NUM_THREADS": "1"},
             )
             stack.callback(process.kill)
