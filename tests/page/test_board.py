@@ -10,7 +10,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from mobo_msgs_py import msg
-from mobo_tuner.page.board import Board
+from mobo_tuner.page.board import Board, Level, Part
 from mobo_tuner.page.words import duration, measured, number, state_of
 from tests.support.tuner_double import make_evaluation
 
@@ -150,3 +150,18 @@ def test_measurements_and_times_are_for_people() -> None:
         "1:02:05 h",
         "?",
     ]
+
+
+@pytest.mark.parametrize(
+    ("level", "free", "disk"),
+    [
+        ("error", "57.8", ("ok", "57.8 GB free")),
+        ("ok", "0.4", ("warning", "0.4 GB free")),
+        ("stale", "57.8", ("stale", "57.8 GB free")),
+        ("warning", "nan", ("ok", "not in use yet")),
+    ],
+)
+def test_a_disk_is_judged_by_its_own_space(level: Level, free: str, disk: tuple[str, str]) -> None:
+    part = Part("tuner: run", level, "the last run failed", {"free disk space [GB]": free})
+    assert part.disk == disk
+    assert Part("tuner: run", level, "", {}).disk is None

@@ -16,6 +16,7 @@ from mobo_tuner.ros.conversions import values_of
 
 SILENCE_TIMEOUT = 3.0  # [s] without a status, which is published at 1 Hz, until it counts as old
 HEALTH_TIMEOUT = 5.0  # [s] without a message about a part, until it counts as old
+SCARCE_SPACE = 1.0  # [GB] left on a disk below which it is a warning, as the tuner says
 KEPT_RUNS = 2  # runs whose evaluations are kept
 
 Level = Literal["ok", "warning", "error", "stale"]
@@ -61,6 +62,20 @@ class Part:
     level: Level
     message: str
     values: Mapping[str, str]
+
+    @property
+    def disk(self) -> tuple[Level, str] | None:
+        """How serious the free space of its disk is, whatever else it says, and a text; None if it tells none."""
+        free = self.values.get("free disk space [GB]")
+        if free is None:
+            return None
+        if free in ("", "nan"):
+            return self.level if self.level == "stale" else "ok", "not in use yet"
+        try:
+            level: Level = "warning" if float(free) < SCARCE_SPACE else "ok"
+        except ValueError:
+            level = "error"
+        return "stale" if self.level == "stale" else level, f"{free} GB free"
 
 
 class RunBoard:

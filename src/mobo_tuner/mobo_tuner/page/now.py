@@ -7,12 +7,11 @@ import math
 from nicegui import ui
 
 from mobo_tuner.displays.progress import contexts_text
-from mobo_tuner.page.board import Level, Part
+from mobo_tuner.page.board import Level
 from mobo_tuner.page.viewer import Table, Viewer, card
 from mobo_tuner.page.words import SYMBOLS, duration, place, set_to, state_of
 
 LEAST_TRAVEL = 0.003  # share of a variable's range below which it counts as staying where it is
-SCARCE_SPACE = 1.0  # [GB] left on a disk below which it is a warning, as the tuner says
 _LEVEL_SYMBOLS: dict[Level, str] = {"ok": "✓", "warning": "!", "error": "✕", "stale": "?"}
 _LEVEL_WORDS: dict[Level, str] = {
     "ok": "good",
@@ -128,22 +127,10 @@ class HealthPanel:
             word = f"{_LEVEL_SYMBOLS[part.level]} {_LEVEL_WORDS[part.level]}"
             rows.append((part.name, word, part.message))
             tones.append(f"level-{part.level}")
-            free = part.values.get("free disk space [GB]")
-            if free is not None:
-                level = _level_of_disk(part, free)
-                text = "not in use yet" if free in ("nan", "") else f"{free} GB free"
+            if part.disk is not None:
+                level, text = part.disk
                 word = f"{_LEVEL_SYMBOLS[level]} {_LEVEL_WORDS[level]}"
                 rows.append((f"{part.name.partition(': ')[0]}: disk", word, text))
                 tones.append(f"level-{level}")
         self._table.show(rows, tones)
         self._none.set_visibility(not rows)
-
-
-def _level_of_disk(part: Part, free: str) -> Level:
-    """Return how serious the free space is that a part has measured [GB], whatever else it says."""
-    if part.level == "stale":
-        return "stale"
-    try:
-        return "warning" if float(free) < SCARCE_SPACE else "ok"
-    except ValueError:
-        return "ok"
