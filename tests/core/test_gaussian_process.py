@@ -230,6 +230,16 @@ def test_automatic_mean_takes_what_predicts_better():
     assert GaussianProcess(choice).fit(x, y).model == "data"
 
 
+def test_in_noise_the_reference_point_is_not_the_mean_if_it_is_a_little_better():
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-1, 1, (24, 2))
+    y = np.hypot(x[:, 0], x[:, 1] - 0.3)
+    model = GaussianProcess(reference=float(y.max()))
+    assert model.fit(x, y).model == "reference"
+    assert model.untrained().fit(x, y, noisy=True).model == "data"
+    assert model.untrained().fit(x, y, np.full(24, 0.15)).model == "data"
+
+
 def test_automatic_transform_takes_the_logarithm_where_it_is_clearly_better():
     rng = np.random.default_rng(0)
     x = rng.uniform(-1, 1, (30, 2))

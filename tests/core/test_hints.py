@@ -139,7 +139,7 @@ def test_noise_that_is_larger_than_the_gain_is_told() -> None:
         return optimizer
 
     assert tuned(0.0).hints() == tuned(0.02).hints() == []
-    hint, *_ = tuned(0.4).hints()
+    hint, *_ = tuned(0.25).hints()
     assert "the noise of f is larger than the gain" in hint
     assert "shots" in hint
 

@@ -186,7 +186,10 @@ class GaussianProcess:
         for state in states if len(states) > 1 else ():
             self._state = state
             density = self.leave_one_out().log_density.sum()
-            scores.append(self._choice.score(state.model.name, state.model.scaling, density))
+            scaling = state.model.scaling
+            scores.append(
+                self._choice.score(state.model.name, scaling, density, noisy or bool(noise.any()))
+            )
         self._state = states[int(np.argmax(scores))] if scores else states[0]
         return self
 

@@ -22,6 +22,8 @@ from mobo_tuner.core.output_transform import Logarithm, SignedLogarithm, Transfo
 # What a transform must be better by, in the log density of left-out observations.
 _CLEARLY_BETTER: Mapping[type, float] = {Logarithm: 3.0, SignedLogarithm: 1.0}
 _LEAST_WIDTH = 1e-150
+# The same of the reference point as prior mean, where observations are noisy.
+_CLEARLY_BETTER_IN_NOISE = 3.0
 _FUNCTION, _SCALED = "function", "scaled function"  # prior means that are given
 _LEAST_SCALED = 5  # observations from which on a factor is learned
 _HANDICAPS = {_SCALED: 1.0}  # of the log density, for what an offset does not have: a factor
@@ -109,16 +111,21 @@ class ScalingChoice:
         return Logarithm(float(np.log(y.min())))
 
     @staticmethod
-    def score(name: str, scaling: OutputScaling, log_density: float) -> float:
+    def score(name: str, scaling: OutputScaling, log_density: float, noisy: bool) -> float:
         """Return what a scaling is worth; the highest one is chosen.
+
+        Around the reference point, which is far from most readings, the variance of the model is large,
+        so that the luckiest readings are believed too readily: where there is noise, it must be clearly better.
 
         Args:
             name: Name of the scaling.
             scaling: Scaling.
             log_density: Log density of all observations, each predicted from all others.
+            noisy: Whether the observations are noisy.
         """
         better = _CLEARLY_BETTER.get(type(scaling.transform), 0.0)
-        return log_density - better - _HANDICAPS.get(name, 0.0)
+        lucky = _CLEARLY_BETTER_IN_NOISE * (noisy and name.startswith("reference"))
+        return log_density - better - lucky - _HANDICAPS.get(name, 0.0)
 
     def restored(self, name: str, state: Mapping[str, Any]) -> OutputScaling:
         """Return the scaling of a name that `OutputScaling.get_state` came from.

@@ -13,6 +13,11 @@ from mobo_tuner.core.resolution import readings_differ
 
 _NOISY = 11.0  # log evidence from which on the machine is taken for noisy
 _CLEARLY_NOISY = 5.0  # the same of outputs whose noise is plain to see
+_AGREED = (
+    6.0  # the same where several outputs show it, or if the machine was taken for noisy before
+)
+_AGREES = 2.0  # log evidence of all outputs but the first one, from which on several show it
+_FEWEST = 15  # readings of an output from which on that counts
 _STILL_NOISY = 0.0  # the same of a machine that was taken for noisy before
 _DRIFTS = 10.0  # log evidence from which on the machine is taken to drift
 
@@ -65,7 +70,8 @@ class Steadiness:
             processes: Trained model of each output.
             deadline: Time by which it must be known [s], of `time.monotonic`; else it stays as it was.
         """
-        evidence = clear = 0.0
+        evidence = clear = most = 0.0
+        n = 0
         for process in processes:
             if time.monotonic() > deadline:
                 return self
@@ -73,8 +79,12 @@ class Steadiness:
                 found = process.noise_evidence()
                 evidence += max(found.log, 0.0)
                 clear += max(found.log, 0.0) * found.is_clear
-        least = _STILL_NOISY if self.is_noisy_by_evidence else _CLEARLY_NOISY
-        return replace(self, is_noisy_by_evidence=evidence > _NOISY or clear > least)
+                most, n = max(most, found.log), max(n, process.n)
+        # A step or a kink is seen in one output, noise in all of them.
+        agreed = n >= _FEWEST and evidence - most > _AGREES
+        least = _AGREED if agreed or self.is_noisy_by_evidence else _NOISY
+        least_clear = _STILL_NOISY if self.is_noisy_by_evidence else _CLEARLY_NOISY
+        return replace(self, is_noisy_by_evidence=evidence > least or clear > least_clear)
 
     def with_drift_of(
         self, processes: Iterable[tuple[GaussianProcess, Array]], timed: bool, deadline: float
