@@ -66,6 +66,21 @@ def test_a_reading_unlike_all_others_is_suspected(by: float) -> None:
     assert found(x, y, former=(7,)) == [7]
 
 
+@pytest.mark.parametrize("by", [1e4, -1e12, 1e30])
+def test_readings_that_would_hide_each_other_are_suspected(by: float) -> None:
+    x, y = smooth(20)
+    y[[2, 7, 15]] = y[[2, 7, 15]] + by * np.array([1.0, 5.0, -0.5])
+    assert found(x, y) == [2, 7, 15]
+    x[7] = x[2] + 0.1  # beside it: a cliff
+    y[7] = y[2]
+    assert found(x, y) == [15]
+
+
+def test_a_quantity_that_spans_decades_is_not_suspected() -> None:
+    x, y = smooth(20)
+    assert found(x, np.exp(6.0 * y)) == []
+
+
 def test_a_reading_that_fits_again_is_suspected_no_longer() -> None:
     x, y = smooth(20)
     assert found(x, y, former=(7,)) == []

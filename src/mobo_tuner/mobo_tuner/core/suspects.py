@@ -21,6 +21,8 @@ _RULED_OUT = 10.0  # standard deviations from the prediction of all others
 _DOUBTFUL = 3.0  # the same where another output of the evaluation is suspected
 _LEAST_SHARE = 0.4  # of the others' range by which it is off
 _MOST_SHARE = 0.1  # of all readings that may be suspected
+_ABSURD = 1e3  # ranges of all others by which a reading is off that would hide what else is wrong
+_MOST_ABSURD = 0.25  # of all readings
 _NEARBY = 0.5  # largest distance in any input of the kernel at which readings confirm each other
 _ALIKE = 3.0  # largest ratio of the deviations of readings that confirm each other
 
@@ -47,6 +49,10 @@ def find_suspects(
     kept = np.delete(np.arange(len(y)), former)
     if len(kept) == 0 or np.unique(y[kept], return_counts=True)[1].max() > _PLATEAU * len(kept):
         return np.empty(0, dtype=np.intp)
+    absurd = kept[_absurd(y[kept])]
+    if len(absurd):
+        kept, former = np.setdiff1d(kept, absurd), np.union1d(former, absurd)
+        model = model.untrained().fit(x[kept], y[kept], stddev[kept], rng=rng)
     while len(kept) > _FEWEST:
         loo = model.leave_one_out()
         residual = np.abs(loo.residual) / loo.stddev
@@ -66,8 +72,24 @@ def find_suspects(
         if deviation is not None:
             suspects[int(i)] = deviation
     found = sorted(i for i in suspects if not _is_confirmed(i, suspects, model.seen(x)))
-    few = len(found) <= max(1, int(_MOST_SHARE * len(y)))
+    few = len(np.setdiff1d(found, absurd)) <= max(1, int(_MOST_SHARE * len(y)))
     return np.array(found if few else [], dtype=np.intp)
+
+
+def _absurd(y: Array) -> NDArray[np.intp]:
+    """Return the rows of the few readings beside which all others ``(n,)`` look alike.
+
+    One of them would be ruled out by the others; two or more hide each other.
+    """
+    order = np.argsort(np.abs(y - np.median(y)), kind="stable")
+    for count in range(int(_MOST_ABSURD * len(y)), 0, -1):
+        rest, apart = y[order[:-count]], y[order[-count:]]
+        if len(rest) <= _FEWEST:
+            continue
+        distance = np.abs(apart - np.median(rest)).min()
+        if distance > _ABSURD * np.ptp(rest) > 0.0:
+            return order[-count:]
+    return np.empty(0, dtype=np.intp)
 
 
 def is_doubtful(model: GaussianProcess, row: int) -> bool:
