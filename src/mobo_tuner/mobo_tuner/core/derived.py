@@ -17,8 +17,8 @@ from functools import cached_property, reduce
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mobo_tuner.core.linear_algebra import FloatArray
 from mobo_tuner.core.values import LARGEST, ProblemError, check_name
 
 LONGEST = 500
@@ -158,7 +158,7 @@ class Derived:
         """Whether the formula has a comparison, a choice or an "and" or "or", so that it may jump."""
         return any(isinstance(node, _CHOICES) for node in ast.walk(self._tree))
 
-    def over(self, columns: Mapping[str, FloatArray]) -> FloatArray:
+    def over(self, columns: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
         """Return the quantity for many readings at once; NaN where it is undefined.
 
         Args:
