@@ -127,6 +127,8 @@ def test_conditions_hold_when_equal_or_within_limits() -> None:
         ("variables.x1.readback.qos", "sensor", "one of reliable, best_effort, latched"),
         ("variables.x1.readback", {"action": "a"}, "must have one of the keys topic, service"),
         ("diagnostics.f1.outliers", {"mad": 3, "sigma": 3}, "one of the keys mad, sigma; it has"),
+        ("diagnostics.f1.statistic", "p101", "'p101'; allowed are mean, rms, and p0 to p100"),
+        ("diagnostics.f1.statistic", 90, "diagnostics.f1.statistic is 90; it must be a text"),
         ("diagnostics.f1.average", {"count": 3}, "with measure.fire the shots are measure.shots"),
         ("diagnostics.x1", FOREIGN["diagnostics"]["f1"], "x1 is a variable and a diagnostic"),
         ("measure.shots", 2.5, "measure.shots is 2.5; it must be an integer from 1 to 10000"),

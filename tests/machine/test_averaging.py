@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -31,6 +32,39 @@ def test_the_uncertainty_is_that_of_the_mean() -> None:
     assert abs(means.var() / expected - 1.0) < 4.0 * math.sqrt(2 / count)
     # The variance of a sample variance of 5 shots is 2 / 4 of its square.
     assert abs(variances.mean() / expected - 1.0) < 4.0 * math.sqrt(0.5 / count)
+
+
+@pytest.mark.parametrize(
+    ("statistic", "of"),
+    [
+        ("rms", lambda shots: np.sqrt(np.mean(np.square(shots), axis=-1))),
+        ("p50", lambda shots: np.median(shots, axis=-1)),
+        ("p90", lambda shots: np.percentile(shots, 90.0, axis=-1)),
+    ],
+)
+def test_other_statistics_and_their_uncertainty(
+    statistic: str, of: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    value, _ = average([*SHOTS, math.nan], statistic=statistic)
+    assert value == pytest.approx(of(np.array(SHOTS)), rel=1e-12)
+    shots = np.random.default_rng(6).normal(3.0, 0.4, (2000, 50))
+    told = np.mean([average(list(row), statistic=statistic)[1] for row in shots])
+    assert told == pytest.approx(of(shots).std(), rel=0.1)
+
+
+@pytest.mark.parametrize("statistic", ["mean", "rms", "p0", "p37.5", "p100"])
+def test_every_statistic_of_equal_shots_and_of_one(statistic: str) -> None:
+    assert average([-2.5], statistic=statistic)[0] == (2.5 if statistic == "rms" else -2.5)
+    assert math.isnan(average([-2.5], statistic=statistic)[1])
+    assert average([0.0, 0.0, 0.0], statistic=statistic) == (0.0, 0.0)
+    assert average([3e200] * 4, statistic=statistic) == (3e200, 0.0)
+    assert np.isnan(average([math.nan], statistic=statistic)).all()
+
+
+@pytest.mark.parametrize("statistic", ["", "p", "p-1", "p101", "p1e1", "median", "90"])
+def test_unknown_statistics_are_refused(statistic: str) -> None:
+    with pytest.raises(ValueError, match="allowed are mean, rms, and p0 to p100"):
+        average([1.0], statistic=statistic)
 
 
 def test_few_shots_show_no_scatter() -> None:

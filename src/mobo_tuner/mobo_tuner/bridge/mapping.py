@@ -13,7 +13,7 @@ from typing import Any
 from mobo_tuner.bridge.field_path import FieldPath, parse_field_path
 from mobo_tuner.bridge.section import MappingError, Section
 from mobo_tuner.files import load_yaml
-from mobo_tuner.machine.averaging import MAX_SHOTS, OutlierRule
+from mobo_tuner.machine.averaging import MAX_SHOTS, OutlierRule, percentile
 from mobo_tuner.machine.ramp import RampedVariable
 from mobo_tuner.names import ALLOWED, is_name
 
@@ -142,6 +142,7 @@ class Diagnostic:
         count: Number of shots to average; 0 if `seconds` applies.
         seconds: Duration of the average [s]; 0 if `count` applies.
         outliers: Rule for shots that are omitted from the average.
+        statistic: What is taken of the shots: ``mean``, ``rms``, or a percentile such as ``p90``.
     """
 
     name: str
@@ -150,6 +151,7 @@ class Diagnostic:
     count: int
     seconds: float
     outliers: OutlierRule
+    statistic: str = "mean"
 
 
 @dataclass(frozen=True)
@@ -295,6 +297,11 @@ def _diagnostic(name: str, section: Section, shots: int, fired: bool) -> Diagnos
     if "outliers" in section:
         kind = outliers.one_of("mad", "sigma")
         rule = OutlierRule(kind, outliers.number(kind, above=0.0))
+    statistic = section.text("statistic", "mean")
+    try:
+        percentile(statistic)
+    except ValueError as error:
+        raise section.error("statistic", str(error)) from None
     diagnostic = Diagnostic(
         name=name,
         unit=section.text("unit", ""),
@@ -302,6 +309,7 @@ def _diagnostic(name: str, section: Section, shots: int, fired: bool) -> Diagnos
         count=count,
         seconds=seconds,
         outliers=rule,
+        statistic=statistic,
     )
     for part in (average, outliers, section):
         part.finish()

@@ -96,7 +96,7 @@ class Measuring:
             diagnostic = collector.diagnostic
             if not collector.shots:
                 continue
-            value, stddev = average(collector.shots, diagnostic.outliers)
+            value, stddev = average(collector.shots, diagnostic.outliers, diagnostic.statistic)
             diagnostics.append(
                 msg.NamedValue(
                     name=diagnostic.name, value=value, stddev=stddev, unit=diagnostic.unit

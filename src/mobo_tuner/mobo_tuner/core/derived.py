@@ -286,8 +286,8 @@ class Derived:
         name = node.func.id if isinstance(node.func, ast.Name) else "a function without a name"
         if name not in FUNCTIONS:
             raise ProblemError(
-                f"{self._where} calls {name:.40}; allowed are {', '.join(FUNCTIONS)}. A machine sends "
-                "means over its shots, so that those of single shots are not known"
+                f"{self._where} calls {name:.40}; allowed are {', '.join(FUNCTIONS)}. What is taken of "
+                "the shots of a diagnostic, such as a percentile, is said where it is measured: its statistic"
             )
         least, most = _ARGUMENTS.get(name, (1, 1))
         if node.keywords or not least <= len(node.args) <= most:

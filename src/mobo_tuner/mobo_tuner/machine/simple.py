@@ -6,6 +6,7 @@ import math
 import time
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 
 from rclpy.executors import Executor
 from rclpy.node import Node
@@ -14,7 +15,7 @@ from rclpy.task import Future
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint
 from mobo_tuner.errors import one_line
-from mobo_tuner.machine.averaging import OutlierRule, average
+from mobo_tuner.machine.averaging import OutlierRule, average, percentile
 from mobo_tuner.machine.backend import MEASURING, Failure, Measurement, Operation
 from mobo_tuner.machine.ramp import RampedVariable, RampSettings
 from mobo_tuner.machine.ramped import RampedBackend
@@ -45,6 +46,8 @@ class SimpleMachine(RampedBackend):
         settings: Settings of the moves.
         shots: Number of shots of a measurement for which the client asks for no number.
         outliers: Rule that identifies shots to leave out of the averages.
+        statistics: What is taken of the shots of a diagnostic in place of their mean, by its name:
+            ``rms``, or a percentile such as ``p90``.
         timeout: Longest time that one `write` or `read` may take [s].
         shot_timeout: Longest time that one `shot` may take [s].
     """
@@ -60,12 +63,20 @@ class SimpleMachine(RampedBackend):
         settings: RampSettings = _DEFAULT_RAMP,
         shots: int = 1,
         outliers: OutlierRule = _KEEP_ALL,
+        statistics: Mapping[str, str] = MappingProxyType({}),
         timeout: float = 2.0,
         shot_timeout: float = 30.0,
     ) -> None:
         super().__init__(node, name, variables, diagnostics, settings)
         self._shots = shots
         self._outliers = outliers
+        for diagnostic, statistic in statistics.items():
+            if diagnostic not in diagnostics:
+                raise ValueError(
+                    f"statistics names '{diagnostic}'; allowed are {', '.join(diagnostics)}"
+                )
+            percentile(statistic)
+        self._statistics = dict(statistics)
         self._timeout = timeout
         self._shot_timeout = shot_timeout
         self._positions = dict.fromkeys(self.ramped, math.nan)
@@ -153,7 +164,8 @@ class SimpleMachine(RampedBackend):
         diagnostics = []
         for diagnostic in self.diagnostics if taken else ():
             values = [shot.get(diagnostic.name, math.nan) for shot in taken]
-            value, stddev = average(values, self._outliers)
+            statistic = self._statistics.get(diagnostic.name, "mean")
+            value, stddev = average(values, self._outliers, statistic)
             diagnostics.append(
                 msg.NamedValue(
                     name=diagnostic.name, value=value, stddev=stddev, unit=diagnostic.unit
