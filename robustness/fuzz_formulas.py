@@ -3,8 +3,8 @@
     python -m robustness.fuzz_formulas --formulas 100000
 
 Formulas are drawn from arithmetic, from what attacks on evaluators are made of, from altered ones and from characters.
-A hook of Python's auditing counts everything that a formula might have executed, imported or opened; the time of each
-is measured.
+What is evaluated is evaluated for several readings at once, too, with the same result. A hook of Python's auditing
+counts everything that a formula might have executed, imported or opened; the time of each is measured.
 """
 
 from __future__ import annotations
@@ -174,6 +174,15 @@ def try_formula(text: str) -> str:
     assert math.isfinite(result.value) or result.reason or set(derived.names) - set(READINGS)
     assert not result.stddev < 0.0, result
     assert "\n" not in result.reason.replace(text, ""), result
+    if math.isfinite(result.value) and not derived.has_choices:
+        many = derived.over({name: np.full(3, READINGS[name][0]) for name in derived.names})
+        by_rounding = (
+            "%" in text or "//" in text
+        )  # the last digit decides on which side a quotient is
+        assert by_rounding or np.allclose(many, result.value, rtol=1e-9, atol=1e-300), (
+            many,
+            result,
+        )
     return "evaluated" if math.isfinite(result.value) else "not measured"
 
 

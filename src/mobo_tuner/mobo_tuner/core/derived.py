@@ -178,6 +178,7 @@ class Derived:
         evaluator = SimpleEval(_OPERATORS_OF_ARRAYS, _FUNCTIONS_OF_ARRAYS, {**CONSTANTS, **known})
         handlers: Mapping[Any, Callable[[ast.AST], Any]] = evaluator.nodes
         evaluator.nodes = {kind: handlers[kind] for kind in _NODES if kind is not ast.Expression}
+        evaluator.nodes[ast.Constant] = _as_float(handlers[ast.Constant])
         with np.errstate(all="ignore"):
             values = evaluator.eval(self.formula, previously_parsed=self._tree.body)
         values = np.broadcast_to(values, next(iter(columns.values())).shape)
