@@ -28,12 +28,9 @@ from launcher.run_folder import RunFolder, is_bag, table
 from launcher.supervisor import EXIT_LIMIT
 
 TEST_TIMEOUT = 3600.0  # [s]
-# Three processes on two cores: tests with real nodes mostly wait. Files are taken in the order of collection, long
-# ones first. A test that fails on a busy computer gets a second try, and is named at the end.
-_PARALLEL_TESTS = (
-    *("-n", "3", "--dist", "loadfile", "--no-loadscope-reorder"),
-    *("--reruns", "1", "-rR"),
-)
+# Three processes on two cores: tests with real nodes mostly wait. One that fails on a busy computer gets a second
+# try, and is named at the end.
+_PARALLEL_TESTS = ("-n", "3", "--dist", "loadfile", "--reruns", "1", "-rR")
 
 
 def check(options: argparse.Namespace) -> None:

@@ -30,9 +30,6 @@ with warnings.catch_warnings():
     import lark  # noqa: F401
 
 
-LONG = ("system", "tuner", "nodes", "page")  # folders of files that take long
-
-
 def pytest_configure(config: pytest.Config) -> None:
     """Let no process outlive the tests, however they end."""
     process = end_with_this_process()
@@ -44,12 +41,6 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.pop(watchdog.MARKER, None)
 
     config.add_cleanup(wait)
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the files that take long, so that parallel processes end at about the same time."""
-    tests = Path(__file__).parent
-    items.sort(key=lambda item: item.path.relative_to(tests).parts[0] not in LONG)
 
 
 @pytest.fixture
