@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 from playwright.sync_api import BrowserContext, sync_playwright
 
-from bench.page_load import FLAGS, START_TIMEOUT
+from bench.page_load import FLAGS, address_of
 from launcher.ros_domain import RosDomain
 from mobo_tuner.client import Evaluation, TunerClient
 from robustness.processes import NodeProcess
@@ -89,12 +89,7 @@ def page(
 ) -> Iterator[None]:
     """The page with its viewers."""
     process = start("mobo_tuner.nodes.page", "port:=0", f"runs_dir:={scratch / 'runs'}")
-    deadline = time.monotonic() + START_TIMEOUT
-    while "page: " not in process.stdout:
-        if time.monotonic() > deadline or not process.running:
-            raise SystemExit(f"the page did not start: {process.stderr}")
-        time.sleep(0.1)  # between two looks, until the deadline
-    address = process.stdout.partition("page: ")[2].split()[0]
+    address = address_of(process)
     tabs = [browser.new_page() for _ in range(VIEWERS)]
     for tab in tabs:
         tab.goto(address)

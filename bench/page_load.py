@@ -150,12 +150,7 @@ def measure(options: argparse.Namespace, folder: Path) -> None:
             stderr_path=folder / "page.err",
         )
         try:
-            deadline = time.monotonic() + START_TIMEOUT
-            while "page: " not in process.stdout:
-                if time.monotonic() > deadline or not process.running:
-                    raise SystemExit(f"the page did not start: {process.stderr}")
-                time.sleep(0.1)  # between two looks, until the deadline
-            address = process.stdout.partition("page: ")[2].split()[0]
+            address = address_of(process)
             player.begin()
             with tab(address, f"{folder}/browser") as (page, session):
                 follow(player, page, session, process.popen.pid, options)
@@ -165,6 +160,20 @@ def measure(options: argparse.Namespace, folder: Path) -> None:
         finally:
             process.kill()
             context.try_shutdown()
+
+
+def address_of(page: NodeProcess) -> str:
+    """Return the address of a page that was just started, as soon as it can be opened.
+
+    Raises:
+        SystemExit: If it does not start.
+    """
+    deadline = time.monotonic() + START_TIMEOUT
+    while "page: " not in page.stdout:
+        if time.monotonic() > deadline or not page.running:
+            raise SystemExit(f"the page did not start: {page.stderr}")
+        time.sleep(0.1)  # between two looks, until the deadline
+    return page.stdout.partition("page: ")[2].split()[0]
 
 
 def fill(player: Player, evaluations: int) -> None:

@@ -178,7 +178,7 @@ def test_a_run_is_killed_and_resumed_with_the_machine_that_it_had(
 
 
 def resumed_and_killed(lab: Lab, start: Callable[..., Run], first: Run) -> Run:
-    """A run that goes on with another one, until its mobo.py is killed."""
+    """Resume a run, kill mobo.py after two more evaluations, and return the killed run."""
     lab.stop()
     lab.start()
     second = start("--evaluations", "500", resumed=first.run_id, run_id="second")
