@@ -25,7 +25,7 @@ from playwright.sync_api import BrowserContext, sync_playwright
 from bench.page_load import FLAGS, address_of
 from launcher.ros_domain import RosDomain
 from mobo_tuner.client import Evaluation, TunerClient
-from robustness.processes import NodeProcess
+from robustness.processes import NodeProcess, exit_at_sigterm
 
 CONFIG = Path(__file__).resolve().parents[1] / "config" / "awa.yaml"
 VIEWERS = 3
@@ -162,6 +162,7 @@ def main() -> None:
     parser.add_argument("--evaluations", type=int, default=20, help="evaluations of each phase")
     parser.add_argument("--speed", type=float, default=15.0, help="speed of the simulated machine")
     options = parser.parse_args()
+    exit_at_sigterm()
     with tempfile.TemporaryDirectory() as folder:
         noted = measure(options.phases, options.evaluations, options.speed, Path(folder))
     print(f"load {os.getloadavg()[0]:.1f}")

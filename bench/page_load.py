@@ -27,7 +27,7 @@ from rclpy.node import Node
 from launcher.ros_domain import RosDomain
 from mobo_msgs_py import msg
 from mobo_tuner.ros import interfaces
-from robustness.processes import NodeProcess
+from robustness.processes import NodeProcess, exit_at_sigterm
 
 OBJECTIVES = [f"f{i}" for i in range(7)]
 VARIABLES = [f"x{i}" for i in range(6)]
@@ -225,6 +225,7 @@ def main() -> None:
     parser.add_argument("--evaluations", type=int, default=5000)
     parser.add_argument("--rate", type=float, default=20.0)
     options = parser.parse_args()
+    exit_at_sigterm()
     with tempfile.TemporaryDirectory() as folder:
         measure(options, Path(folder))
 

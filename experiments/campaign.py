@@ -31,6 +31,7 @@ from experiments.problems import surrogate_digest
 from experiments.run_cache import core_digest
 from mobo_tuner.core.pareto import FloatArray
 from mobo_tuner.files import replace_file
+from robustness.processes import exit_at_sigterm
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "experiments" / "results"
@@ -270,7 +271,7 @@ def parse_options(
     if unknown:
         parser.error(f"unknown: {', '.join(unknown)}; there are {', '.join(known)}")
     require_one_thread()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    exit_at_sigterm()
     return options
 
 

@@ -35,6 +35,11 @@ def end_with_parent(clean_up: Callable[[], None]) -> None:
     Thread(target=watch, daemon=True).start()
 
 
+def exit_at_sigterm() -> None:
+    """Have this process exit at SIGTERM as from any error, so that what it started is stopped, too."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+
+
 @dataclass
 class NodeProcess:
     """A node in a process of its own, whose output goes to files.
