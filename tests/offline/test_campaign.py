@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -138,6 +139,21 @@ def test_the_shipped_file_with_fidelities_is_a_campaign(bench: Bench) -> None:
     begun = resume(bench.folder / "one", bench.folder / "two", {"evaluations": 6})
     begun.log.close()
     assert [e.setpoint["mesh"] for e in begun.optimizer.dataset.evaluations] == meshes
+
+
+def test_in_a_job_of_slurm_it_starts_no_step_of_its_own(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    programs = tmp_path / "programs"
+    programs.mkdir()
+    for name in ("srun", "mpirun"):
+        (programs / name).write_text(f"#!/bin/sh\ntouch {tmp_path / 'called'}\n")
+        (programs / name).chmod(0o755)
+    monkeypatch.setenv("SLURM_NODELIST", "node[1-2]")
+    monkeypatch.setenv("PATH", f"{programs}:{os.environ['PATH']}")
+    assert bench.run("one", "--config", bench.config(), "--evaluations", 3) == (0, "")
+    assert len(bench.evaluations("one")) == 3
+    assert not (tmp_path / "called").exists()
 
 
 def test_what_was_finished_is_not_lost_by_a_kill(bench: Bench) -> None:

@@ -10,14 +10,31 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from unittest.mock import ANY
 
 import pytest
 
 from mobo_tuner.errors import ParameterError
 from mobo_tuner.offline.simulation import Simulation
+from mobo_tuner.offline.watchdog import GRACE
 
 TIMEOUT = 20.0
 
+
+MPI_PROGRAM = """
+import json, os, sys, time
+from mpi4py import MPI
+
+world = MPI.COMM_WORLD
+point = json.loads(sys.stdin.readline()) if world.rank == 0 else None
+x = world.bcast(point)["x"]
+open(f"rank-{os.getpid()}", "w").close()
+if x > 1.0:
+    time.sleep(60)
+total = world.allreduce(x + world.rank)
+if world.rank == 0:
+    print(json.dumps({"f": total}))
+"""
 
 Make = Callable[..., Simulation]
 
@@ -89,6 +106,44 @@ def test_what_takes_too_long_is_killed_with_its_children(simulation: Make, tmp_p
         time.sleep(0.02)
 
 
+def test_one_that_does_not_end_when_asked_is_killed(simulation: Make) -> None:
+    program = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(60)"
+    outcome = simulation(program, timeout=1.0).run(0, {"x": 0.5})
+    assert "1 s" in outcome.error
+    assert outcome.seconds < 1.0 + GRACE + TIMEOUT
+
+
+def test_one_that_takes_too_long_is_asked_first(simulation: Make, tmp_path: Path) -> None:
+    program = (
+        "import signal; signal.signal(signal.SIGTERM, lambda *_: sys.exit(open('asked', 'w').close()));"
+        "time.sleep(60)"
+    )
+    assert "2 s" in simulation(program, timeout=2.0).run(0, {"x": 0.5}).error
+    assert (tmp_path / "simulations" / "000000" / "asked").exists()
+
+
+def test_no_process_of_mpi_outlives_a_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM"):
+        monkeypatch.setenv(name, "1")
+    (tmp_path / "program.py").write_text(MPI_PROGRAM)
+    command = f"mpirun --oversubscribe -n 3 {sys.executable} {tmp_path / 'program.py'}"
+    made = Simulation(command, TIMEOUT, tmp_path / "simulations")
+    assert made.run(0, {"x": 0.5}) == ({"f": 4.5}, ANY, "")
+    thread = threading.Thread(target=made.run, args=(1, {"x": 2.0}))
+    thread.start()
+    deadline = time.monotonic() + TIMEOUT
+    while len(paths := [*tmp_path.glob("simulations/000001/rank-*")]) < 3:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    made.stop()
+    thread.join(TIMEOUT)
+    assert not thread.is_alive()
+    ranks = [int(path.name.split("-")[1]) for path in paths]
+    while any(is_alive(rank) for rank in ranks):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
 def test_a_stop_ends_what_runs_and_starts_nothing_more(simulation: Make, tmp_path: Path) -> None:
     made = simulation(f"open('{tmp_path}/started', 'w').close(); time.sleep(60)")
     errors: list[str] = []
@@ -101,7 +156,7 @@ def test_a_stop_ends_what_runs_and_starts_nothing_more(simulation: Make, tmp_pat
     made.stop()
     thread.join(TIMEOUT)
     assert len(errors) == 1
-    assert "status -9" in errors[0]
+    assert "status -15" in errors[0]
     assert "stopped" in made.run(1, {"x": 0.5}).error
 
 

@@ -274,6 +274,8 @@ def run(begun: Begun, simulation: Simulator) -> None:
                 disable_log_files=True,
                 save_H_and_persis_on_abort=False,
                 final_gen_send=True,
+                # It would look at the nodes of a batch job by a step of that job, which waits for the workers.
+                disable_resource_manager=True,
             ),
             gen_specs=GenSpecs(
                 generator=generator,

@@ -19,9 +19,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mobo_tuner.errors import ParameterError
+from mobo_tuner.offline.watchdog import GRACE, send
 
 _MOST_OUTPUT = 1 << 20  # bytes of the standard output that are read
 _PATIENCE = 10.0  # [s] for the watchdog to end
+_POLL = 0.02  # [s] between two looks whether a simulation has ended
 
 
 class Outcome(NamedTuple):
@@ -42,13 +44,15 @@ class Outcome(NamedTuple):
 class Simulation:
     """A command that reads a point as one JSON object and prints its outputs as another.
 
-    The point is on standard input; the outputs are the last line of standard output, with null for a
-    number that there is none of. Each process runs in a folder of its own, where its files stay. All
-    processes end with this one, even if it is killed (`watchdog`); `stop` ends the watchdog.
+    The point is one line on standard input; the outputs are the last line of standard output, with null for
+    a number that there is none of. Each process runs in a folder of its own, where its files stay. All
+    processes end with this one, even if it is killed (`watchdog`); `stop` ends the watchdog. One that must
+    end is asked first (SIGTERM) and killed after `watchdog.GRACE`, since the starters of MPI and of batch
+    systems end their processes, which are in sessions of their own or on other hosts, only when asked.
 
     Attributes:
         command: Program and arguments; a `python` is that of this environment.
-        timeout: Longest time of one simulation [s]; it is killed then, with all its processes.
+        timeout: Longest time of one simulation [s]; it is ended then, with all its processes.
         folder: Folder in which the folders of the simulations are made.
     """
 
@@ -93,12 +97,17 @@ class Simulation:
         return Outcome(outputs, time.monotonic() - started, error)
 
     def stop(self) -> None:
-        """Kill all that run, and start none any more."""
+        """End all that run, and start none any more."""
         with self._lock:
             self._stopped = True
             for group in self._running:
-                with contextlib.suppress(ProcessLookupError):
-                    os.killpg(group, signal.SIGKILL)
+                send(group, signal.SIGTERM)
+        deadline = time.monotonic() + GRACE
+        while self._running and time.monotonic() < deadline:
+            time.sleep(_POLL)  # between two looks, until the deadline
+        with self._lock:
+            for group in self._running:
+                send(group, signal.SIGKILL)
             if self._watchdog is not None:
                 try:
                     self._watchdog.communicate(timeout=_PATIENCE)  # which closes its standard input
@@ -146,14 +155,17 @@ class Simulation:
                 self._running.add(process.pid)
                 self._watch("+", process.pid)  # before the point is known to the process
             try:
-                process.communicate(text.encode(), timeout=self.timeout)
+                # A whole line, since the starter of Open MPI keeps the end of its input to itself.
+                process.communicate(f"{text}\n".encode(), timeout=self.timeout)
             except subprocess.TimeoutExpired:
+                send(process.pid, signal.SIGTERM)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(GRACE)
                 raise ValueError(f"the simulation took more than {self.timeout:g} s") from None
             finally:
                 with self._lock:
                     self._running.discard(process.pid)
-                with contextlib.suppress(ProcessLookupError):  # its children, too
-                    os.killpg(process.pid, signal.SIGKILL)
+                send(process.pid, signal.SIGKILL)  # to its children, too
                 process.wait()
                 with self._lock:
                     self._watch("-", process.pid)
