@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.core.candidate_search import CandidateSearch
+from mobo_tuner.core.constraints import ProbabilityOfFeasibility
 from tests.core.toy_runs import TOY, Machine, toy, tune, with_changes
 
 
@@ -23,6 +25,27 @@ def test_feasibility_is_sought_before_anything_else() -> None:
     feasible = optimizer.dataset.feasible
     assert not feasible[: optimizer.initial_evaluations].any()
     assert feasible.any()
+
+
+def test_where_feasibility_seems_hopeless_half_of_what_is_lacking_is_sought() -> None:
+    def machine(x: Mapping[str, float]) -> dict[str, Any]:
+        return toy(x) | {"g": 3.0 + math.tanh(x["x1"]) + 0.2 * x["x2"]}
+
+    optimizer = Optimizer(
+        with_changes(constraints={"g": {"max": 1.0}}), seed=2, initial_evaluations=8
+    )
+    tune(optimizer, 9, machine)
+    optimizer.ask()  # the models learn all that was told
+    readings = optimizer.dataset.column("g")
+    [(model, _, _)] = optimizer.archive.models.constraints
+    upper = 0.5 * (1.0 + model.predict(optimizer.dataset.inputs)[0].min())
+    assert upper == pytest.approx(0.5 * (1.0 + readings.min()), abs=0.05)
+    points = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 2))
+    search = CandidateSearch(optimizer.archive, optimizer.settings, 2)
+    sought = search.acquisition_function(nearest=True)
+    assert sought is not None
+    expected = ProbabilityOfFeasibility(model, upper=upper).log_value(points)
+    np.testing.assert_allclose(sought.log_value(points), expected)
 
 
 def test_failed_evaluations_earn_nothing_and_are_not_repeated() -> None:

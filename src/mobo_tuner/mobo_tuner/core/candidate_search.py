@@ -235,10 +235,13 @@ class CandidateSearch:
         """Return whether no evaluation is better than the reference point, nor will be at `found`.
 
         There is next to no improvement even at the best candidate, compared with the spread of the
-        readings. Then the search is for an improvement on the point that comes nearest.
+        readings; or nothing is feasible, nor will be. Then the search is for an improvement on the point
+        that comes nearest.
         """
         belief = self._archive.belief
-        if not belief.feasible.any() or len(belief.front_rows()) or not self._models.known.all():
+        if not belief.feasible.any():
+            return found is not None and self._is_hopeless(found)
+        if len(belief.front_rows()) or not self._models.known.all():
             return False
         if found is None:
             return True
@@ -251,6 +254,33 @@ class CandidateSearch:
         else:
             spreads = [model.spread for model in models]
         return bool(improvement < sum(math.log(_HOPELESS * (s or 1.0)) for s in spreads))
+
+    def _is_hopeless(self, x: Array) -> bool:
+        """Return whether the models are certain that x ``(d,)`` misses a constraint."""
+        limits = self._models.constraints
+        chance = sum(ProbabilityOfFeasibility(*limit).log_value(x[None])[0] for limit in limits)
+        return bool(chance < math.log(_HOPELESS))
+
+    def _half_way(self) -> list[tuple[GaussianProcess, float, float]]:
+        """Return the constraints with limits half-way to them from the evaluation that lacks least.
+
+        Where the models are certain that nothing is feasible, the probability is largest where they know
+        least, which are the corners; they still know where the readings become better.
+        """
+        limits = self._models.constraints
+        measured = self._data.inputs[self._data.valid]
+        believed = [model.predict(measured)[0] for model, _, _ in limits]
+        lacks = [
+            _lack(values, lower, upper) / (model.spread or 1.0)
+            for values, (model, lower, upper) in zip(believed, limits, strict=True)
+        ]
+        nearest = int(np.sum(lacks, axis=0).argmin())
+        return [
+            (model, min(lower, 0.5 * (lower + at)), max(upper, 0.5 * (upper + at)))
+            for (model, lower, upper), at in zip(
+                limits, (b[nearest] for b in believed), strict=True
+            )
+        ]
 
     def _pays(self, x: Array, used: Taken) -> bool:
         """Return whether measuring at x ``(d,)`` may say anything that is not known."""
@@ -296,7 +326,8 @@ class CandidateSearch:
         alike, or those of a constraint that was never met.
 
         Args:
-            nearest: Whether to improve on the evaluation that comes nearest to the reference point.
+            nearest: Whether to improve on the evaluation that comes nearest to the reference point, or to
+                the limits if none meets them.
             tails: Whether improvements that underflow are needed.
         """
         known = self._models.known
@@ -304,7 +335,9 @@ class CandidateSearch:
         factors = self._factors(limits)
         # Without a feasible point there is no front to improve: feasibility comes first.
         if limits and not (known.any() and self._archive.belief.feasible.any()):
-            return reduce(mul, factors) if all(map(self._is_informed, limits)) else None
+            if not all(map(self._is_informed, limits)):
+                return None
+            return reduce(mul, self._factors(self._half_way()) if nearest else factors)
         if all(m.is_constant for m in self._models.objectives if m.n):
             return None
         if not self._problem.has_references:  # some objective was never measured
