@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from action_msgs.msg import GoalStatus, GoalStatusArray
+from rclpy.node import Node
+from rclpy.qos import qos_profile_action_status_default
 
 from mobo_tuner.core import Problem
 from mobo_tuner.offline.hosts import Hosts
 from tests.core.toy_runs import TOY, toy
 from tests.support.processes import NodeProcess, NodeStarter, wait_until
+from tests.support.simulator import Listener
 
 WAIT = 60.0
 POINTS = [{"x1": 0.5, "x2": -1.0}, {"x1": 1.0, "x2": 1.5}, {"x1": -1.5, "x2": 0.25}]
@@ -50,3 +54,38 @@ def test_a_lost_machine_s_point_is_evaluated_by_another_one(
     hosts.stop()
     # One is idle, the other looks for its machine: both see that the campaign is over.
     assert [worker.wait(WAIT) for worker in (quick_worker, slow_worker)] == [0, 0]
+
+
+def test_a_machine_whose_worker_is_killed_holds_and_serves_the_next_one(
+    hosts: Hosts,
+    start_node: NodeStarter,
+    node: Node,
+    spin_until: Callable[..., None],
+    tmp_path: Path,
+) -> None:
+    names = ("--ros-args", "-r", "__ns:=/stand")
+    toys = ("-p", "model:=toy", "-p", "mode:=ideal", "-p", "beam_repetition_rate:=0.2")
+    machine = start_node("-m", "awa_sim_node.node", *names, *toys, "-p", "speed:=1.0")
+    goals = Listener(
+        node,
+        GoalStatusArray,
+        "/stand/evaluate_setpoint/_action/status",
+        qos_profile_action_status_default,
+    )
+    words = ("-m", "mobo_tuner.nodes.twin", str(tmp_path), "--machine-timeout", "2", *names)
+    first = start_node(*words)
+    with ThreadPoolExecutor(1) as threads:
+        outcome = threads.submit(hosts.run, 0, POINTS[0])
+        spin_until(
+            lambda: any(
+                goal.status == GoalStatus.STATUS_EXECUTING
+                for message in goals.messages
+                for goal in message.status_list
+            ),
+            "an evaluation",
+            WAIT,
+        )
+        first.kill()
+        wait_until(lambda: "holds where it is" in machine.stderr, "the machine to hold", WAIT)
+        start_node(*words)
+        assert outcome.result(WAIT).outputs.items() >= toy(POINTS[0]).items()
