@@ -46,10 +46,13 @@ def test_a_bad_state_is_refused_in_one_sentence(tmp_path: Path, text: str, sente
         Optimizer.load(tmp_path / "absent.json")
 
 
-def test_the_state_is_plain_json() -> None:
+def test_the_state_is_strict_json() -> None:
     optimizer = Optimizer(Problem.from_dict(TOY), initial_evaluations=3, proximal=np.eye(2))
     tune(optimizer, 5)
-    state = json.loads(json.dumps(optimizer.get_state()))
+    optimizer.tell(optimizer.ask(), {"f1": 1.0})
+    optimizer.tell(optimizer.ask(), {"f1": math.inf, "f2": (2.0, 0.1)})
+    optimizer.tell(optimizer.ask(), {}, failed=True)
+    state = json.loads(json.dumps(optimizer.get_state(), allow_nan=False))
     assert Optimizer.from_state(state).ask() == optimizer.ask()
 
 

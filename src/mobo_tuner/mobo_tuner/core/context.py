@@ -141,4 +141,4 @@ def _clock(times: Array, unit: float) -> Scale:
     if not unit:
         steps = np.diff(np.sort(times))
         unit = _TIME_UNIT * (float(np.median(steps)) if len(steps) else 1.0)
-    return Scale(float(times.max(initial=-math.inf)), unit or 1.0)
+    return Scale(float(times.max()) if len(times) else 0.0, unit or 1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -27,11 +28,11 @@ class Told(NamedTuple):
 
 
 def evaluations_state(data: Dataset) -> list[dict[str, Any]]:
-    """Return the evaluations of a dataset as they were told, as data for JSON."""
+    """Return the evaluations of a dataset as they were told, as data for strict JSON: None where there is no number."""
     return [
         {
             "setpoint": dict(e.setpoint),
-            "outputs": {n: [v, e.stddevs[n]] for n, v in e.values.items()},
+            "outputs": {n: [_strict(v), _strict(e.stddevs[n])] for n, v in e.values.items()},
             "readbacks": dict(e.readbacks),
             "failed": e.reported_failed,
             "time": e.time,
@@ -45,11 +46,21 @@ def told_evaluations(state: Mapping[str, Any]) -> Iterator[Told]:
     for evaluation in state["evaluations"]:
         yield Told(
             evaluation["setpoint"],
-            {n: (pair[0], pair[1]) for n, pair in evaluation["outputs"].items()},
+            {n: (_number(v), _number(s)) for n, (v, s) in evaluation["outputs"].items()},
             evaluation.get("readbacks", {}),
             evaluation.get("failed"),
             evaluation.get("time"),
         )
+
+
+def _strict(value: float) -> float | None:
+    """Return a number for strict JSON; None if it is not finite."""
+    return value if math.isfinite(value) else None
+
+
+def _number(value: float | None) -> float:
+    """Return a number of strict JSON; NaN for None."""
+    return math.nan if value is None else value
 
 
 @contextmanager
@@ -75,7 +86,7 @@ def reading_state(state: object) -> Iterator[None]:
 def write_state(path: str | Path, state: Mapping[str, Any]) -> None:
     """Write a state to a JSON file, which replaces an older one only when it is complete."""
     partial = Path(f"{path}.partial")
-    partial.write_text(json.dumps(state), encoding="utf-8")
+    partial.write_text(json.dumps(state, allow_nan=False), encoding="utf-8")
     os.replace(partial, path)
 
 
