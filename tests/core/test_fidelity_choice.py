@@ -61,6 +61,18 @@ def test_no_more_is_spent_on_cheap_evaluations_than_on_one_at_the_highest() -> N
     assert any(e.setpoint["s"] == 1.0 for e in optimizer.dataset.evaluations)
 
 
+def test_failures_of_all_at_the_highest_fidelity_are_told() -> None:
+    optimizer = Optimizer(Problem.from_dict(SIMPLE), seed=2)
+    for x in (0.1, 0.6, 0.9):
+        cheap = {"x": x, "y": 0.4, "s": 0.0}
+        optimizer.tell(cheap, simulate(cheap))
+    assert optimizer.hints() == []
+    for x in (0.2, 0.7):
+        optimizer.tell({"x": x, "y": 0.4, "s": 1.0}, {}, failed=True)
+    [hint] = optimizer.hints()
+    assert hint.startswith("all 2 evaluations of the highest fidelity failed")
+
+
 def test_correlations_are_those_of_the_joint_prediction() -> None:
     model = made().models.objectives[0]
     here = np.array([0.1, 0.2])

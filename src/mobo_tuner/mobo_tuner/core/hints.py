@@ -30,8 +30,10 @@ def hints(data: Dataset, belief: Belief) -> list[str]:
     problem = data.problem
     if not data.highest.any() or len(belief.front_rows()):
         return []
-    if data.failed.all():
-        return [f"all {len(data)} evaluations failed: see why the last one did"]
+    failed = data.failed[data.highest]
+    if failed.all():
+        which = "" if data.highest.all() else " of the highest fidelity"
+        return [f"all {len(failed)} evaluations{which} failed: see why the last one did"]
     missing = [n for n in problem.required_diagnostics if np.isnan(data.column(n)).all()]
     if missing:
         named = [f"{name} was never measured: check its name and its source" for name in missing]
