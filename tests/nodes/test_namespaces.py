@@ -105,14 +105,14 @@ def test_two_tuners_tell_of_each_other(
     spin_until(lambda: levels("tuner: machine"), "its health")
     assert levels("tuner: machine") == {DiagnosticStatus.STALE}  # there is none
     assert levels("tuner: run") == {DiagnosticStatus.OK}
-    second = start_tuner()
+    program = ["-m", "mobo_tuner.nodes.tuner", *TOY, "-p", f"runs_dir:={tmp_path}"]
+    second = start_node(*program, "-r", "__node:=tuner2")
     # Of another namespace, but for the same machine.
-    remapped = ["-r", "__ns:=/B", "-r", "/B/heartbeat:=/heartbeat", "-p", f"runs_dir:={tmp_path}"]
-    third = start_node("-m", "mobo_tuner.nodes.tuner", *TOY, *remapped)
+    third = start_node(*program, "-r", "__ns:=/B", "-r", "/B/heartbeat:=/heartbeat")
     for tuner, rivals in (
-        (first, "/B/tuner, /tuner"),
+        (first, "/B/tuner, /tuner2"),
         (second, "/B/tuner, /tuner"),
-        (third, "/tuner"),
+        (third, "/tuner, /tuner2"),
     ):
         spin_until(
             lambda: f"another tuner, {rivals}, also publishes" in tuner.stderr,  # noqa: B023

@@ -34,6 +34,7 @@ def make_evaluation(index: int, objectives: int, kind: str = "feasible") -> Eval
     if kind == "failed":
         values = dict.fromkeys(values, math.nan)
     diagnostics = {name: (value, 0.1) for name, value in values.items()}
+    diagnostics["g"] = ({"failed": math.nan, "infeasible": 0.9}.get(kind, 0.2), math.nan)
     return Evaluation(
         index=index,
         source="model",
@@ -41,7 +42,7 @@ def make_evaluation(index: int, objectives: int, kind: str = "feasible") -> Eval
         stamp=0.0,
         setpoint={"x": (index % 11) / 11.0, "y": 1.0},
         readbacks={},
-        diagnostics={**diagnostics, "g": (math.nan if kind == "failed" else 0.2, math.nan)},
+        diagnostics=diagnostics,
         valid=kind != "failed",
         feasible=kind == "feasible",
         non_dominated=False,
@@ -63,7 +64,7 @@ def make_run(
 ) -> RunBoard:
     """A run whose first evaluations are on the front."""
     run = RunBoard("run")
-    run.problem = problem
+    run.set_problem(problem)
     objectives = len(problem.objectives)
     for index in range(count):
         run.add(make_evaluation(index, objectives, kinds[index % len(kinds)]))
@@ -287,3 +288,55 @@ def test_objectives_that_span_decades_have_logarithmic_axes() -> None:
     trace = traces.diagnostic(run, "f0", "", chart_parts.DARK)
     assert trace["yAxis"][0]["type"] == "log"
     assert all(bar[3] > 0.0 for bar in series(trace, "standard deviation"))
+
+
+def test_a_problem_that_was_changed_judges_all_evaluations_again() -> None:
+    problem = make_problem(2)
+    run = make_run(problem, 6, ("feasible", "infeasible", "failed"))
+    assert [*run.is_feasible] == [True, False, False] * 2
+    assert (run.changes, run.without_gain) == ([], 0)
+    wider = replace(problem, constraints=(replace(problem.constraints[0], maximum=1.0),))
+    run.set_problem(wider)
+    assert [*run.is_feasible] == [True, True, False] * 2
+    assert run.progress.feasible == 4
+    point = run.point(1)
+    assert point is not None
+    assert point.index == 1
+    assert run.point(2) is None
+    plot = charts.front(run, "f0", "f1", None, chart_parts.DARK)
+    assert [p["value"][2] for p in series(plot, "feasible")] == [0, 1, 3, 4]
+    trace = traces.diagnostic(run, "g", "", chart_parts.DARK)
+    assert [p["value"][0] for p in series(trace, "feasible")] == [0, 1, 3, 4]
+    run.set_problem(wider)  # as it is: a tuner tells it again after a change of the budget
+    assert run.changes == [6]
+    run.add(replace(make_evaluation(6, 2), hypervolume=0.5))  # of another front than before
+    assert run.without_gain == 0
+    marked = charts.hypervolume(run, chart_parts.DARK)["series"][1]["markLine"]["data"]
+    assert marked == [{"xAxis": 6}]
+
+
+def test_limits_of_an_objective_are_straight_lines() -> None:
+    problem = make_problem(2)
+    limited = replace(problem.constraints[0], name="f1")
+    run = make_run(replace(problem, constraints=(limited,)), 2)
+    plot = charts.front(run, "f0", "f1", None, chart_parts.DARK)
+    [lines] = [s["markLine"]["data"] for s in plot["series"] if s["name"] == "front"]
+    assert [next(iter(line.items())) for line in lines] == [
+        ("xAxis", 2.0),
+        ("yAxis", 2.0),
+        ("yAxis", 0.5),
+    ]
+
+
+def test_a_variable_is_shown_between_its_bounds_and_where_it_was_before_they_changed() -> None:
+    problem = make_problem(2)
+    run = make_run(problem, 1)
+    [axis] = traces.variable(run, problem.variables[0], chart_parts.DARK)["yAxis"]
+    assert (axis["min"], axis["max"]) == (0.0, 1.0)
+    narrower = replace(problem.variables[0], maximum=0.5)
+    run = make_run(replace(problem, variables=(narrower, problem.variables[1])), 11, points=11)
+    [axis] = traces.variable(run, narrower, chart_parts.DARK)["yAxis"]
+    assert axis["max"] == pytest.approx(10.0 / 11.0)
+    parallel = charts.parallel(run, None, chart_parts.DARK)["parallelAxis"][2]
+    assert (parallel["id"], parallel["max"]) == ("x", axis["max"])
+    assert parallel["axisLabel"]["customValues"] == [0.0, 0.25, 0.5]

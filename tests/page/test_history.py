@@ -12,7 +12,7 @@ import pytest
 from launcher import run_folder
 from mobo_tuner.page import history
 from mobo_tuner.page.history import MAX_RUNS, History
-from mobo_tuner.runs.journal import Journal
+from mobo_tuner.runs.journal import Journal, journal_line
 
 THIS_PROCESS = {"pid": os.getpid(), "pid_started": run_folder.process_start(os.getpid())}
 
@@ -55,12 +55,13 @@ def test_an_active_run_shows_how_far_it_is(tmp_path: Path) -> None:
     make(tmp_path, "a", state="running", **THIS_PROCESS)
     journal = tmp_path / "a" / "journal.jsonl"
     runs = History(tmp_path)
-    for index in (0, 6):
-        with journal.open("a", encoding="utf-8") as file:
-            record = {"type": "evaluation", "index": index, "hypervolume": 2.5}
-            file.write(json.dumps(record) + "\n")
+    record: dict[str, Any] = {"type": "evaluation", "hypervolume": 2.5}
+    for index, valid in enumerate((True, False, True, False)):
+        with journal.open("ab") as file:
+            file.write(journal_line({**record, "index": index, "valid": valid}))
         [run] = runs.runs()
         assert (run.state, run.evaluations, run.hypervolume) == ("running", index + 1, 2.5)
+        assert run.failed == (index + 1) // 2
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{", '{"state": 7, "started": null}', "[" * 9999])

@@ -7,8 +7,9 @@ import math
 import pytest
 
 from mobo_tuner.core.problem import Constraint, Variable
+from mobo_tuner.page.board import Motion
 from mobo_tuner.page.dialogs import proposed
-from mobo_tuner.page.words import limits, place
+from mobo_tuner.page.words import evaluations, limits, place
 
 
 @pytest.mark.parametrize(
@@ -33,6 +34,16 @@ def test_limits_have_their_unit() -> None:
     assert limits(Constraint("g", -math.inf, 0.5, "mm")) == "at most 0.5 mm"
     assert limits(Constraint("g", 0.98, math.inf)) == "at least 0.98"
     assert limits(Constraint("g", -1.0, 1.0, "mm")) == "−1 to 1 mm"
+
+
+def test_one_evaluation_is_singular_and_no_way_is_negative() -> None:
+    assert [evaluations(count) for count in (0, 1, 2)] == [
+        "0 evaluations",
+        "1 evaluation",
+        "2 evaluations",
+    ]
+    motion = Motion(start={"x": 1.0}, target={"x": 0.5}, readbacks={"x": 1.0})
+    assert f"{motion.fraction('x'):.0%}" == "0%"
 
 
 def test_a_readback_outside_of_the_bounds_is_not_proposed() -> None:

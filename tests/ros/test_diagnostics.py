@@ -10,7 +10,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from mobo_tuner.ros.diagnostics import STALE, WARN, Diagnostics, Health, other_publishers
+from mobo_tuner.ros.diagnostics import LEASE, STALE, WARN, Diagnostics, Health, Publishers
 from mobo_tuner.ros.qos import STREAM
 from tests.support.tuner import Listener
 
@@ -45,12 +45,15 @@ def test_each_part_has_a_status_named_after_node_and_namespace(
     cellar.destroy_node()
 
 
-def test_other_publishers_are_named_though_they_have_the_same_name(
+def test_other_publishers_of_the_same_name_count_when_a_killed_one_would_be_gone(
     context: Context, node: Node, spin_until: Spin
 ) -> None:
+    now = 100.0
+    publishers = Publishers(node, "word", clock=lambda: now)
+    assert publishers.names() == []
     node.create_publisher(String, "word", STREAM)
-    spin_until(lambda: node.count_publishers("/word") == 1, "its own publisher")
-    assert other_publishers(node, "word") == []
+    spin_until(lambda: publishers.names() == ["/test_node"], "its own publisher")
+    assert publishers.others() == []
     others = [
         Node("test_node", context=context),
         Node(
@@ -60,6 +63,12 @@ def test_other_publishers_are_named_though_they_have_the_same_name(
     for other in others:
         other.create_publisher(String, "word", STREAM)
     spin_until(lambda: node.count_publishers("/word") == 3, "the others")
-    assert other_publishers(node, "word") == ["/B/other", "/test_node"]
+    spin_until(lambda: publishers.others() == ["/B/other"], "the name of the other")
+    now += 0.9 * LEASE
+    assert publishers.others() == ["/B/other"]
+    now += 0.2 * LEASE
+    assert publishers.others() == ["/B/other", "/test_node"]
+    others.pop(0).destroy_node()
+    spin_until(lambda: publishers.others() == ["/B/other"], "its end")
     for other in others:
         other.destroy_node()

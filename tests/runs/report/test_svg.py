@@ -51,6 +51,8 @@ def test_steps_hold_a_value_until_the_next_one() -> None:
     assert len(corners) == 5
     assert corners[0][1] == corners[1][1]
     assert corners[1][0] == corners[2][0]
+    plot.line([1.0], [1.0], "k-b", step=True)
+    assert [path.count("L") for path in paths(plot, "k-b")] == [1]  # a value alone is seen, too
 
 
 @pytest.mark.parametrize(

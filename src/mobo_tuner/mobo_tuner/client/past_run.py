@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,11 +26,13 @@ class PastRun(NamedTuple):
         problem: Problem at its end.
         evaluations: All its evaluations.
         front: Its front: that of its report, or that of the readings if it has none.
+        changes: Numbers of evaluations when its problem was changed.
     """
 
     problem: Problem
     evaluations: list[Evaluation]
     front: Front
+    changes: tuple[int, ...]
 
 
 def read_run(folder: Path) -> PastRun:
@@ -55,7 +57,17 @@ def read_run(folder: Path) -> PastRun:
             reference_point={o.name: o.reference for o in problem.objectives},
             units=problem.units,
         ),
+        tuple(_changes(history)),
     )
+
+
+def _changes(history: History) -> Iterator[int]:
+    """Yield how many evaluations there were when the problem was changed, not the budget alone."""
+    problem = history.problem
+    for change in history.changes:
+        if change.problem != problem:
+            yield change.index
+        problem = change.problem
 
 
 def _evaluation(record: EvaluationRecord, problem: Problem, run_id: str) -> Evaluation:
@@ -90,7 +102,9 @@ def _nondominated(problem: Problem, evaluations: list[Evaluation]) -> list[Point
     feasible = [
         e
         for e in evaluations
-        if e.valid and e.feasible and all(map(math.isfinite, e.objectives.values()))
+        if e.valid
+        and problem.is_feasible({name: mean for name, (mean, _) in e.diagnostics.items()})
+        and all(map(math.isfinite, e.objectives.values()))
     ]
     signs = np.array([objective.sign for objective in problem.objectives])
     values = [[e.objectives[name] for name in problem.objective_names] for e in feasible]

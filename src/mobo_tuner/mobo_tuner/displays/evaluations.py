@@ -13,6 +13,7 @@ import numpy.typing as npt
 from mobo_tuner.client import Evaluation
 
 Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 Number = Literal[
     "index",

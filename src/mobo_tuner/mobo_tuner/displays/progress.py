@@ -9,7 +9,7 @@ import numpy as np
 
 from mobo_tuner.client import Evaluation, Front, Status
 from mobo_tuner.core.problem import Problem
-from mobo_tuner.displays.evaluations import EvaluationTable, Floats
+from mobo_tuner.displays.evaluations import EvaluationTable, Flags, Floats
 
 
 class RunProgress:
@@ -107,7 +107,21 @@ class RunProgress:
         """Number of evaluations that are feasible, by the problem as it is now."""
         if self._is_current:
             return self.status.feasible
-        return sum(self._is_feasible(evaluation) for evaluation in self.made)
+        return int(np.sum(self.is_feasible))
+
+    @property
+    def is_feasible(self) -> Flags:
+        """Which evaluations are feasible, by the problem as it is now, shape (n,)."""
+        made, problem = self.made, self._problem
+        if problem is None:
+            return made.numbers("feasible") > 0.0
+        found = made.numbers("valid") > 0.0
+        for name in problem.objective_names:
+            found &= np.isfinite(made.objectives(name))
+        for constraint in problem.constraints:
+            values = made.diagnostics(constraint.name)
+            found &= (values >= constraint.minimum) & (values <= constraint.maximum)
+        return found
 
     @property
     def hypervolume(self) -> float:

@@ -10,7 +10,7 @@ from rclpy.node import Node
 from mobo_msgs_py.action import EvaluateSetpoint
 from mobo_tuner.machine.backend import Failure, MachineBackend
 from mobo_tuner.machine.server import MachineServer
-from mobo_tuner.ros.diagnostics import ERROR, OK, STALE, WARN, Health
+from mobo_tuner.ros.diagnostics import ERROR, OK, STALE, WARN, Health, Publishers
 
 _Result = EvaluateSetpoint.Result
 _LEVELS = {_Result.INTERLOCK: ERROR, _Result.MACHINE_LOST: STALE, _Result.NOT_ACTIVE: WARN}
@@ -20,9 +20,10 @@ def machine_parts(
     node: Node, backend: MachineBackend, server: MachineServer
 ) -> Mapping[str, Callable[[], Health]]:
     """Return the parts of a machine's node: the machine, its variables and those of its backend."""
+    tuners = Publishers(node, server.heartbeat_name)
 
     def machine() -> Health:
-        return _machine_health(node, backend, server)
+        return _machine_health(node, backend, server, len(tuners.names()))
 
     def variables() -> Health:
         return _variables_health(backend)
@@ -30,7 +31,9 @@ def machine_parts(
     return {"machine": machine, "variables": variables, **backend.parts()}
 
 
-def _machine_health(node: Node, backend: MachineBackend, server: MachineServer) -> Health:
+def _machine_health(
+    node: Node, backend: MachineBackend, server: MachineServer, tuners: int
+) -> Health:
     """Whether the machine may move, how its last evaluation ended, and whether it is served twice."""
     values = {
         "evaluations": server.evaluations,
@@ -47,7 +50,6 @@ def _machine_health(node: Node, backend: MachineBackend, server: MachineServer) 
     if rivals > 0:
         text = f"{rivals} more serve {server.describe_name}; a tuner needs exactly one machine"
         return Health(WARN, text, values)
-    tuners = node.count_publishers(server.heartbeat_name)
     if tuners > 1:
         text = f"{tuners} tuners send {server.heartbeat_name}; a machine serves one at a time"
         return Health(WARN, text, values)

@@ -9,6 +9,7 @@ from nicegui import ui
 from mobo_tuner.page.commands import Answer, Commands
 from mobo_tuner.page.dialogs import ChangeDialog, Dialog, GoDialog, MoreDialog, QueueDialog
 from mobo_tuner.page.viewer import Viewer, card
+from mobo_tuner.page.words import evaluations
 
 ENDS_WELL = ("budget", "hypervolume_goal", "time", "stagnation", "little_expected")
 
@@ -171,9 +172,8 @@ class Question:
         if failure:
             self._text.set_text(f"{status.message}. What now?")
         elif end:
-            self._text.set_text(
-                f"The run has ended after {status.evaluations} evaluations. What now?"
-            )
+            done = evaluations(status.evaluations)
+            self._text.set_text(f"The run has ended after {done}. What now?")
 
     def _leave(self) -> None:
         self._left = self._viewer.board.status.run_id

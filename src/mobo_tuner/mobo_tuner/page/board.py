@@ -11,6 +11,7 @@ from typing import Any, Literal
 from mobo_tuner.client import Evaluation, Front, Point, Status
 from mobo_tuner.client.values import evaluation_of, front_of, problem_of, status_of
 from mobo_tuner.core.problem import Problem
+from mobo_tuner.displays.evaluations import Flags
 from mobo_tuner.displays.progress import RunProgress
 from mobo_tuner.ros.conversions import values_of
 
@@ -44,7 +45,7 @@ class Motion:
         here = self.readbacks.get(name, math.nan)
         if start == end:
             return 1.0
-        return min(max((here - start) / (end - start), 0.0), 1.0)
+        return min(max((here - start) / (end - start), 0.0), 1.0) + 0.0  # never "-0%"
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,7 @@ class RunBoard:
         problem: Problem of now; None until it is known.
         front: Pareto front of now; None until it is known.
         gained_at: Number of evaluations when the hypervolume last grew.
+        changes: Numbers of evaluations when the problem was changed, as far as that was seen.
     """
 
     def __init__(self, run_id: str) -> None:
@@ -97,7 +99,16 @@ class RunBoard:
         self.problem: Problem | None = None
         self.front: Front | None = None
         self.gained_at = 0
+        self.changes: list[int] = []
         self._best_hypervolume = 0.0
+
+    def set_problem(self, problem: Problem) -> None:
+        """Take over the problem of now, by which all evaluations so far are judged again."""
+        if self.problem not in (None, problem):
+            self.changes.append(len(self.evaluations))
+            self._best_hypervolume = 0.0  # of another front
+        self.problem = problem
+        self.progress.set_problem(problem)
 
     def add(self, evaluation: Evaluation) -> bool:
         """Take over an evaluation; return whether it is new."""
@@ -121,11 +132,16 @@ class RunBoard:
         position = self.evaluations.position(index)
         if position is None:
             return None
-        evaluation = self.evaluations[position]
-        if not (evaluation.valid and evaluation.feasible):
+        if not self.is_feasible[position]:
             return None
+        evaluation = self.evaluations[position]
         stddevs = {name: evaluation.stddev(name) for name in evaluation.objectives}
         return Point(index, evaluation.setpoint, evaluation.objectives, stddevs)
+
+    @property
+    def is_feasible(self) -> Flags:
+        """Which evaluations are feasible, by the problem as it is now, shape (n,)."""
+        return self.progress.is_feasible
 
     @property
     def without_gain(self) -> int:
@@ -167,8 +183,7 @@ class Board:
                 self._take_status(status_of(message), heard)
             case "problem":
                 run = self._run_of(message.run_id)
-                run.problem = problem_of(message)
-                run.progress.set_problem(run.problem)
+                run.set_problem(problem_of(message))
                 self.version += 1
             case "evaluation":
                 self.version += self._run_of(message.run_id).add(evaluation_of(message))

@@ -188,17 +188,23 @@ def choice_labels(variable: Variable, label: Options) -> Options:
     return {"axisLabel": {**label, **shown}, "axisTick": {"customValues": places}, **ends}
 
 
-def bounds_of(variable: Variable) -> Options:
+def bounds_of(variable: Variable, values: Sequence[float] = ()) -> Options:
     """Return what the axis of a variable needs to show its bounds, in the middle of which is a label, too.
 
     Args:
         variable: Variable, which has an order.
+        values: Values to show, too, which lie outside if the bounds were others.
     """
     low, high = variable.minimum, variable.maximum
     is_log = variable.scale == "log"
     middle = float(f"{math.sqrt(low * high):.3g}") if is_log else 0.5 * (low + high)
     kind = {"type": "log"} if is_log else {}
-    return {"min": low, "max": high, "axisTick": {"customValues": [low, middle, high]}, **kind}
+    ends = (
+        {"min": min(low, *values), "max": max(high, *values)}
+        if values
+        else {"min": low, "max": high}
+    )
+    return {**ends, "axisTick": {"customValues": [low, middle, high]}, **kind}
 
 
 def scatter(

@@ -66,7 +66,7 @@ def front(
     on_front = [point.index for point in points if point.index is not None]
     evaluations = run.evaluations
     across, up = evaluations.objectives(x), evaluations.objectives(y)
-    valid, feasible = evaluations.numbers("valid") > 0.0, evaluations.numbers("feasible") > 0.0
+    valid, feasible = evaluations.numbers("valid") > 0.0, run.is_feasible
     drawable = np.isfinite(across) & np.isfinite(up)
     drawable &= ~np.isin(evaluations.numbers("index"), on_front)
     is_other = drawable & valid & feasible
@@ -109,14 +109,7 @@ def front(
             {
                 **scatter("front", measured_points, "circle", 14, colours.front),
                 "z": 4,
-                "markLine": marks(
-                    [
-                        {axis: objectives[name].reference}
-                        for axis, name in (("xAxis", x), ("yAxis", y))
-                        if math.isfinite(objectives[name].reference)
-                    ],
-                    colours,
-                ),
+                "markLine": marks(_straight_lines(problem, x, y, colours), colours),
                 "markArea": _box(objectives[x], objectives[y], colours),
             },
             {**scatter("last", last, "diamond", 16, colours.last, line=2), "z": 5},
@@ -136,7 +129,11 @@ def hypervolume(run: RunBoard, colours: Colours) -> Options:
         yAxis=[axis("hypervolume", colours, 46, splitNumber=2)],
         series=[
             curve("of the readings as they are", plain, colours.others, dashed=True),
-            curve("hypervolume", modelled, colours.front, width=3),
+            {
+                **curve("hypervolume", modelled, colours.front, width=3),
+                "markLine": marks([{"xAxis": count} for count in run.changes], colours)
+                | {"label": {"formatter": "changed", "color": colours.text}},
+            },
         ],
     )
     plot["tooltip"] |= {"trigger": "axis"}
@@ -190,7 +187,7 @@ def parallel(run: RunBoard, chosen: int | None, colours: Colours) -> Options:
             for i, o in enumerate(problem.objectives)
         ),
         *(
-            _bounded(_parallel_axis(i, v.name, v.unit, colours), v)
+            _bounded(_parallel_axis(i, v.name, v.unit, colours), v, points)
             for i, v in enumerate(variables, start=len(problem.objectives))
         ),
     ]
@@ -281,13 +278,28 @@ def _scale_of(values: Sequence[float]) -> Options:
     return {"type": "log"} if spans_decades(values) else {}
 
 
-def _bounded(axis: Options, variable: Variable) -> Options:
-    """Return an axis that ends at the bounds of a variable."""
+def _bounded(axis: Options, variable: Variable, points: Sequence[Point]) -> Options:
+    """Return an axis that ends at the bounds of a variable, or at points outside of bounds that were changed."""
     if variable.choice_names:
         return axis | choice_labels(variable, axis["axisLabel"])
-    bounds = bounds_of(variable)
+    values = [point.setpoint[variable.name] for point in points if variable.name in point.setpoint]
+    bounds = bounds_of(variable, values)
     axis["axisLabel"]["customValues"] = bounds["axisTick"]["customValues"]
     return axis | bounds
+
+
+def _straight_lines(problem: Problem, x: str, y: str, colours: Colours) -> list[Options]:
+    """Return the reference (dashed) and the limits (solid) of two objectives."""
+    references = {o.name: o.reference for o in problem.objectives}
+    lines: list[Options] = []
+    for side, name in (("xAxis", x), ("yAxis", y)):
+        if math.isfinite(references[name]):
+            lines.append({side: references[name]})
+        for constraint in problem.constraints:
+            ends = (constraint.minimum, constraint.maximum) if constraint.name == name else ()
+            style = {"color": colours.failed, "type": "solid"}
+            lines += [{side: end, "lineStyle": style} for end in ends if math.isfinite(end)]
+    return lines
 
 
 def _box(x: Objective, y: Objective, colours: Colours) -> Options:

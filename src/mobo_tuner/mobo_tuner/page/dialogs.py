@@ -13,7 +13,7 @@ from mobo_tuner.core.problem import Variable
 from mobo_tuner.displays.settings import labelled, setting_value, settings_of
 from mobo_tuner.page.commands import Answer, Commands
 from mobo_tuner.page.viewer import Table, Viewer
-from mobo_tuner.page.words import number, place, quantity, set_to
+from mobo_tuner.page.words import evaluations, number, place, quantity, set_to
 
 
 class Dialog:
@@ -265,7 +265,7 @@ class MoreDialog(Dialog):
         """Show what the run has, and ask for how many more."""
         status = self._viewer.board.status
         self.text.set_text(
-            f"A new run continues run {status.run_id} with its {status.evaluations} evaluations."
+            f"A new run continues run {status.run_id} with its {evaluations(status.evaluations)}."
         )
         super().open()
 

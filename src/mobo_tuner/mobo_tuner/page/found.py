@@ -88,7 +88,7 @@ class FrontPanel:
         """Return why there is no front."""
         if not run.evaluations:
             return "nothing was evaluated yet"
-        if not run.evaluations.numbers("feasible").any():
+        if not run.is_feasible.any():
             return "no point is feasible yet"
         return "no feasible point is better than the reference yet"
 
@@ -267,6 +267,8 @@ class CoordinatesPanel:
             f"{kept} of {len(points)} points are in what you marked."
             if self._viewer.brush
             else "Drag along an axis to keep the points in that interval."
+            if points
+            else "The front has no point yet."
         )
 
     def _brush(self, event: events.GenericEventArguments) -> None:

@@ -93,8 +93,8 @@ class History:
             raise UserError(f"the run '{run_id}' is not in the folder")
         past = read_run(folder)
         board = RunBoard(run_id)
-        board.problem, board.front = past.problem, past.front
-        board.progress.set_problem(past.problem)
+        board.set_problem(past.problem)
+        board.changes, board.front = list(past.changes), past.front
         for evaluation in past.evaluations:
             board.add(evaluation)
         board.progress.set_front(past.front)
@@ -119,8 +119,8 @@ def _past_run(folder: Path) -> PastRun:
         records = _last_records(journal)
     last: dict[str, Any] = next((r for r in reversed(records) if r.get("type") == "evaluation"), {})
     if isinstance(last.get("index"), int):  # the summary is missing, or older
-        evaluations = {"evaluations": last["index"] + 1}
-        summary = {**summary, **evaluations, "hypervolume": last.get("hypervolume")}
+        counts = {"evaluations": last["index"] + 1, "failed": _failed(journal)}
+        summary = {**summary, **counts, "hypervolume": last.get("hypervolume")}
     if not facts:  # a run of nodes that stay
         facts = _journal_facts(journal, records)
     elif facts.get("state") == "running" and not _is_alive(facts):
@@ -181,6 +181,15 @@ def _last_records(path: Path) -> list[dict[str, Any]]:
     except OSError:
         return []
     return [record for line in lines if (record := _object(line))]
+
+
+def _failed(path: Path) -> int | None:
+    """Return how many evaluations of a journal failed; None if it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return sum(b'"valid":false' in line for line in file)
+    except OSError:
+        return None
 
 
 def _integer(value: object) -> int | None:

@@ -13,6 +13,7 @@ from mobo_tuner.page.chart_parts import (
     Colours,
     Options,
     axis,
+    bounds_of,
     choice_labels,
     error_bars,
     finite,
@@ -30,11 +31,13 @@ def variable(run: RunBoard, variable: Variable, colours: Colours) -> Options:
     name = variable.name
     made = [e for e in thinned(run.evaluations) if name in e.setpoint]
     values = axis("", colours, 0)
-    if variable.scale == "log":
+    bounds: list[Options] = []
+    if not variable.choice_names and variable.fixed is None:
+        bounds = [{"yAxis": variable.minimum}, {"yAxis": variable.maximum}]
+        reach = bounds_of(variable, [e.setpoint[name] for e in made])
+        values |= {key: reach[key] for key in ("min", "max", "type") if key in reach}
+    elif variable.scale == "log":
         values["type"] = "log"
-    bounds = [{"yAxis": variable.minimum}, {"yAxis": variable.maximum}]
-    if variable.choice_names or variable.fixed is not None:
-        bounds = []
 
     fixed = "" if variable.fixed is None else ", fixed"
 
@@ -70,17 +73,19 @@ def diagnostic(run: RunBoard, name: str, unit: str, colours: Colours) -> Options
     """Return the plot of a diagnostic over the evaluations, with error bars and its limits."""
     problem = run.problem
     assert problem is not None
+    is_feasible = run.is_feasible
+    drawn = [(i, run.evaluations[i]) for i in thinned(range(len(run.evaluations)))]
     known = [
-        (e, *e.diagnostics[name])
-        for e in thinned(run.evaluations)
+        (e, bool(is_feasible[i]), *e.diagnostics[name])
+        for i, e in drawn
         if math.isfinite(e.diagnostics.get(name, (math.nan, math.nan))[0])
     ]
     bars = []
-    for evaluation, mean, stddev in known:
+    for evaluation, _, mean, stddev in known:
         spread = stddev if math.isfinite(stddev) else 0.0
         bars.append([evaluation.index, mean, mean, mean - spread, mean + spread])
     scale = {}
-    if spans_decades([mean for _, mean, _ in known]):
+    if spans_decades([mean for _, _, mean, _ in known]):
         scale = {"type": "log"}
         bars = [bar for bar in bars if bar[3] > 0.0]  # the others have no lower end there
     constraints = [c for c in problem.constraints if c.name == name]
@@ -100,8 +105,8 @@ def diagnostic(run: RunBoard, name: str, unit: str, colours: Colours) -> Options
                     "feasible",
                     [
                         _trace(e, mean, measured(mean, stddev, unit))
-                        for e, mean, stddev in known
-                        if e.feasible
+                        for e, feasible, mean, stddev in known
+                        if feasible
                     ],
                     *("circle", 5, colours.front),
                 ),
@@ -111,8 +116,8 @@ def diagnostic(run: RunBoard, name: str, unit: str, colours: Colours) -> Options
                 "infeasible",
                 [
                     _trace(e, mean, measured(mean, stddev, unit))
-                    for e, mean, stddev in known
-                    if not e.feasible
+                    for e, feasible, mean, stddev in known
+                    if not feasible
                 ],
                 *("triangle", 7, colours.infeasible),
             ),

@@ -81,7 +81,7 @@ class DiagnosticsPanel(TracesPanel):
 
     note = (
         "Readings over the index of the evaluation, with one standard deviation; dashed: limits; triangles: "
-        "infeasible evaluations."
+        "evaluations that are infeasible or incomplete."
     )
 
     def plots(self, problem: Problem) -> dict[str, Plot]:
@@ -163,9 +163,9 @@ class ModelsPanel:
         chosen = outputs[self._output.value]
         where = "chosen" if index is not None else "last"
         self._note.set_text(
-            f"{chosen['name']} with two standard deviations, and below it the acquisition function, along each "
-            f"variable through the {where} point, evaluation {content['index']}; the others stay as they are "
-            f"there{at_contexts(content, problem)}. {quality(chosen)}"
+            f"{chosen['name']} with two standard deviations, and below it the acquisition function{_remark(content)}, "
+            f"along each variable through the {where} point, evaluation {content['index']}; the others stay as they "
+            f"are there{at_contexts(content, problem)}. {quality(chosen)}"
         )
         shown = (id(content), chosen["name"], self._viewer.dark)
         if shown != self._shown:
@@ -196,3 +196,9 @@ class ModelsPanel:
         chart.props["role"] = "img"
         chart.props["aria-label"] = label
         return chart
+
+
+def _remark(content: Mapping[str, Any]) -> str:
+    """Return why there is no acquisition function, in brackets; empty if there is one."""
+    values = (value for part in content["slices"].values() for value in part["acquisition"])
+    return "" if any(v is not None for v in values) else " (none: nothing shows yet where to look)"

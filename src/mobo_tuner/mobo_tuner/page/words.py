@@ -143,6 +143,11 @@ def measured(value: float, stddev: float, unit: str = "") -> str:
     return f"{number(value, 4)}{spread} {unit}".rstrip()
 
 
+def evaluations(count: int) -> str:
+    """Return a number of evaluations in words."""
+    return f"{count} evaluation" if count == 1 else f"{count} evaluations"
+
+
 def duration(seconds: float) -> str:
     """Return a time in hours, minutes and seconds."""
     if not math.isfinite(seconds):

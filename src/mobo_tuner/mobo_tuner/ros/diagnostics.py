@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import time
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.waiting import STEADY_CLOCK
 
 PERIOD = 1.0  # [s]
+LEASE = 25.0  # [s] after which a node that was killed has left the graph; that of Fast DDS is 20 s
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"  # rcl's name of a node whose own is not known yet
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
@@ -71,18 +75,46 @@ class Diagnostics:
         self._publisher.publish(message)
 
 
-def other_publishers(node: Node, topic: str) -> list[str]:
-    """Return the full names of the other nodes that publish a topic of which a node has a publisher.
+class Publishers:
+    """The nodes that publish a topic, without those that were killed.
 
-    Another node may have the same full name. One that was only just discovered has none yet.
+    A node that was killed stays in the graph until its lease ends. If it is started again before, two nodes of one
+    full name seem to be there; so they count as one until both have been there for longer than a lease.
+
+    Args:
+        node: Node that looks.
+        topic: Name of the topic.
+        clock: Clock [s].
     """
-    found = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
-    names = [
-        f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-        for info in found
-        if info.node_name != _UNKNOWN
-    ]
-    own = node.get_fully_qualified_name()
-    if own in names:
-        names.remove(own)
-    return sorted(names)
+
+    def __init__(self, node: Node, topic: str, clock: Callable[[], float] = time.monotonic) -> None:
+        self._node = node
+        self._topic = topic
+        self._clock = clock
+        self._seen: dict[tuple[int, ...], float] = {}  # since when, by the id of the publisher
+
+    def names(self) -> list[str]:
+        """Return the full names of all nodes, sorted; one that was only just discovered has none yet."""
+        now, ages = self._clock(), defaultdict[str, list[float]](list)
+        topic = self._node.resolve_topic_name(self._topic)
+        found = self._node.get_publishers_info_by_topic(topic)
+        self._seen = {gid: self._seen.get(gid, now) for gid in map(_id_of, found)}
+        for info in found:
+            if info.node_name != _UNKNOWN:
+                name = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+                ages[name].append(now - self._seen[_id_of(info)])
+        names: list[str] = []
+        for name in sorted(ages):
+            names += [name] * max(sum(age > LEASE for age in ages[name]), 1)
+        return names
+
+    def others(self) -> list[str]:
+        """Return the full names of all nodes but the one that looks, if it publishes the topic, sorted."""
+        names, own = self.names(), self._node.get_fully_qualified_name()
+        if own in names:
+            names.remove(own)
+        return names
+
+
+def _id_of(info: TopicEndpointInfo) -> tuple[int, ...]:
+    return (*info.endpoint_gid,)

@@ -11,7 +11,7 @@ from mobo_tuner.ros.diagnostics import (
     WARN,
     Diagnostics,
     Health,
-    other_publishers,
+    Publishers,
 )
 from mobo_tuner.ros.waiting import STEADY_CLOCK
 from mobo_tuner.runs.records import StopReason
@@ -41,6 +41,7 @@ class TunerHealth:
         self._context = context
         self._session = session
         self._recording = recording
+        self._topics = {name: Publishers(context.node, name) for name in ("heartbeat", "status")}
         self._rival = ""  # sentence about other tuners; empty if there is none
         parts = {"run": self._run, "machine": self._machine}
         self._diagnostics = Diagnostics(context.node, "", parts)
@@ -49,11 +50,13 @@ class TunerHealth:
     def _look_around(self) -> None:
         """Look for other tuners."""
         node = self._context.node
-        topics = [t for t in ("heartbeat", "status") if other_publishers(node, t)]
-        names = sorted({name for topic in topics for name in other_publishers(node, topic)})
+        found = {topic: publishers.others() for topic, publishers in self._topics.items()}
+        names = sorted({name for others in found.values() for name in others})
         rival = ""
         if names:
-            paths = " and ".join(node.resolve_topic_name(topic) for topic in topics)
+            paths = " and ".join(
+                node.resolve_topic_name(t) for t, others in found.items() if others
+            )
             rival = f"another tuner, {', '.join(names)}, also publishes {paths}; stop one of them"
         before, self._rival = self._rival, rival
         if rival and rival != before:

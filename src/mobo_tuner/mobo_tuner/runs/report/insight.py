@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from mobo_tuner.core.problem import Array
+from mobo_tuner.core.problem import Array, Variable
 from mobo_tuner.core.slices import slices
 from mobo_tuner.errors import UserError
 from mobo_tuner.runs.recorded_run import RecordedRun
@@ -46,14 +46,14 @@ def insight(run: RecordedRun, index: int | None = None) -> dict[str, Any]:
     known = {fact.name for fact in facts}
     through = slices(run.optimizer, setpoint) if facts else {}
     highest = max((_highest(s.acquisition) for s in through.values()), default=math.nan)
-    names = run.problem.variable_names
+    variables = run.problem.variables
     return {
         "run_id": run.run_id,
         "evaluations": len(evaluations),
         "index": index,
         "setpoint": dict(setpoint),
         "contexts": _contexts(run),
-        "outputs": [_fact(fact, names) for fact in facts],
+        "outputs": [_fact(fact, variables) for fact in facts],
         "slices": {
             name: {
                 "values": _rounded(s.values),
@@ -73,7 +73,13 @@ def _contexts(run: RecordedRun) -> dict[str, float | None]:
     return {name: None if reading is None else reading[1] for name, reading in readings.items()}
 
 
-def _fact(fact: ModelFacts, names: Sequence[str]) -> dict[str, Any]:
+def _fact(fact: ModelFacts, variables: Sequence[Variable]) -> dict[str, Any]:
+    """Return what is known of a model; a fixed variable drives nothing."""
+
+    def by_name(values: Array) -> dict[str, float | None]:
+        pairs = zip(variables, _rounded(values), strict=True)
+        return {v.name: value for v, value in pairs if v.fixed is None}
+
     return {
         "name": fact.name,
         "unit": fact.unit,
@@ -85,8 +91,8 @@ def _fact(fact: ModelFacts, names: Sequence[str]) -> dict[str, Any]:
         "skill": _json(fact.skill),
         "error": _json(fact.error),
         "coverage": _json(fact.coverage),
-        "drivers": dict(zip(names, _rounded(fact.indices), strict=True)),
-        "length_scales": dict(zip(names, _rounded(fact.length_scales), strict=True)),
+        "drivers": by_name(fact.indices),
+        "length_scales": by_name(fact.length_scales),
     }
 
 

@@ -66,10 +66,11 @@ def fronts(run: RecordedRun, recommended: Sequence[Recommendation]) -> list[Plot
 
 
 def parallel_coordinates(run: RecordedRun, recommended: Sequence[Recommendation]) -> ParallelAxes:
-    """Return objectives and variables of the front and of other feasible evaluations."""
+    """Return objectives and variables that are not fixed, of the front and of other feasible evaluations."""
     problem = run.problem
-    columns = [_ranks(v, run.setpoints[:, j]) for j, v in enumerate(problem.variables)]
-    setpoints = np.column_stack(columns)
+    free = [(j, v) for j, v in enumerate(problem.variables) if v.fixed is None]
+    columns = [_ranks(v, run.setpoints[:, j]) for j, v in free]
+    setpoints = np.column_stack([np.empty((len(run.indices), 0)), *columns])
     values = np.hstack([run.objectives, setpoints])
     front = np.hstack([run.front_objectives, setpoints[run.front]])
     others = np.setdiff1d(np.flatnonzero(run.feasible), run.front)
@@ -88,7 +89,7 @@ def parallel_coordinates(run: RecordedRun, recommended: Sequence[Recommendation]
             named=_choices(v),
             log=v.scale == "log",
         )
-        for v in problem.variables
+        for _, v in free
     ]
     plot = ParallelAxes(axes[:_MOST_AXES])
     plot.lines(values[others[-_MOST_LINES:], :_MOST_AXES], "k-faint")
@@ -117,7 +118,7 @@ def trajectories(run: RecordedRun) -> list[Plot]:
         ).reshape(-1, 2)
         values, bounds = _ranks(variable, run.setpoints[:, j]), _ranks(variable, bounds)
         ends = _ranks(variable, np.array([variable.minimum, variable.maximum]))
-        shown = [*bounds.ravel(), *values, *ends]
+        shown = [*values, *([*bounds.ravel(), *ends] if variable.fixed is None else [])]
         plot = Plot(
             _indices(run),
             replace(
@@ -131,7 +132,7 @@ def trajectories(run: RecordedRun) -> list[Plot]:
             name,
             SMALL,
         )
-        for column in bounds.T:
+        for column in bounds.T if variable.fixed is None else ():
             plot.line(run.indices, column, "k-e dashed thin", "bounds", step=True)
         plot.line(run.indices, values, "k-faint")
         _kinds(plot, run, values)

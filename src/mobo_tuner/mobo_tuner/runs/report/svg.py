@@ -149,6 +149,9 @@ class Plot:
         xs, ys = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
         if step and len(xs):
             xs, ys = np.repeat(xs, 2)[1:], np.repeat(ys, 2)[:-1]
+        if len(xs) == 1:  # of which there is no line
+            reach = 0.01 * (self.x.high - self.x.low)
+            xs, ys = np.array([xs[0] - reach, xs[0] + reach]), np.repeat(ys, 2)
         path = _polyline(self._across(xs), self._up(ys))
         if path:
             self._layers.append(
@@ -341,8 +344,8 @@ class ParallelAxes:
             for text, y, css in (
                 (name, 12, "title"),
                 (f"[{unit}" if unit else "", 24, "tick"),
-                (f"{axis.high:.4g}", 36, "tick"),
-                (f"{axis.low:.4g}", self.height - 20, "tick"),
+                (_short(axis.high), 36, "tick"),
+                (_short(axis.low), self.height - 20, "tick"),
             ):
                 parts.append(
                     f'<text class="{css}" x="{x}" y="{y}" text-anchor="middle">{escape(text)}</text>'
@@ -390,6 +393,10 @@ def _power(value: float) -> str:
 def _trimmed(value: float, digits: int) -> str:
     text = f"{value:.{digits}f}"
     return "0" if float(text) == 0.0 else text.replace("-", "−")
+
+
+def _short(value: float) -> str:
+    return f"{value:.4g}".replace("-", "−")
 
 
 def _label(label: str, power: str, place: str) -> Iterable[str]:
