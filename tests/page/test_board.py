@@ -10,7 +10,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from mobo_msgs_py import msg
-from mobo_tuner.page.board import Board, Level, Part
+from mobo_tuner.page.board import PATIENCE, Board, Level, Part
 from mobo_tuner.page.words import duration, measured, number, state_of
 from tests.support.tuner_double import make_evaluation
 
@@ -59,6 +59,18 @@ def test_every_reason_to_stop_has_a_word() -> None:
     for name in constants:
         reason = getattr(msg.TunerStatus, name)
         assert state_of(board_of(status(msg.TunerStatus.IDLE, stop_reason=reason))).word != "Idle"
+
+
+def test_only_the_beginning_of_a_suggestion_is_left_to_the_tuner() -> None:
+    suggesting = status(msg.TunerStatus.SUGGESTING)
+    assert board_of(suggesting).begins_suggestion
+    assert not board_of(suggesting, age=2.0 * PATIENCE).begins_suggestion
+    board = board_of(suggesting, age=2.0 * PATIENCE)
+    board.take(*suggesting, time.monotonic())  # the status is repeated
+    assert not board.begins_suggestion
+    board.take(*status(), time.monotonic())
+    board.take(*suggesting, time.monotonic())
+    assert board.begins_suggestion
 
 
 def test_silence_counts_more_than_the_last_state() -> None:

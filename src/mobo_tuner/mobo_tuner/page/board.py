@@ -18,6 +18,7 @@ from mobo_tuner.ros.conversions import values_of
 SILENCE_TIMEOUT = 3.0  # [s] without a status, which is published at 1 Hz, until it counts as old
 HEALTH_TIMEOUT = 5.0  # [s] without a message about a part, until it counts as old
 SCARCE_SPACE = 1.0  # [GB] left on a disk below which it is a warning, as the tuner says
+PATIENCE = 0.4  # [s] of a suggestion in which the page leaves the computer to it
 KEPT_RUNS = 2  # runs whose evaluations are kept
 
 Level = Literal["ok", "warning", "error", "stale"]
@@ -163,6 +164,9 @@ class Board:
         self.motion = Motion()
         self.version = 0
         self._heard: float | None = None  # time of the last status, by `time.monotonic` [s]
+        self._suggesting: float | None = (
+            None  # since when, by `time.monotonic` [s]; None = it is not
+        )
         self._runs: dict[str, RunBoard] = {}
         self._latest = ""  # id of the run that was heard of last
         self._parts: dict[str, tuple[float, Part]] = {}
@@ -208,6 +212,10 @@ class Board:
 
     def _take_status(self, status: Status, heard: float) -> None:
         self.status, self._heard = status, heard
+        if status.state != "suggesting":
+            self._suggesting = None
+        elif self._suggesting is None:
+            self._suggesting = heard
         if status.run_id:
             self._run_of(status.run_id).progress.set_status(status)
             if status.run_id != self._latest:
@@ -239,6 +247,12 @@ class Board:
     def is_stale(self) -> bool:
         """Whether the tuner has been silent for too long."""
         return self.age > SILENCE_TIMEOUT
+
+    @property
+    def begins_suggestion(self) -> bool:
+        """Whether the tuner has just begun to compute a suggestion, which mostly ends before anybody looks."""
+        since = self._suggesting
+        return since is not None and time.monotonic() - since < PATIENCE
 
     @property
     def is_running(self) -> bool:

@@ -35,7 +35,7 @@ def variable(run: RunBoard, variable: Variable, colours: Colours) -> Options:
     if not variable.choice_names and variable.fixed is None:
         bounds = [{"yAxis": variable.minimum}, {"yAxis": variable.maximum}]
         reach = bounds_of(variable, [e.setpoint[name] for e in made])
-        values |= {key: reach[key] for key in ("min", "max", "type") if key in reach}
+        values = axis("", colours, 0, labels=reach.pop("axisTick")["customValues"], **reach)
     elif variable.scale == "log":
         values["type"] = "log"
 

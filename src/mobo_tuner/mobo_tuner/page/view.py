@@ -123,8 +123,15 @@ class View:
         panels.on_value_change(opened)
 
     def refresh(self) -> None:
-        """Show everything as it is now."""
+        """Show everything as it is now.
+
+        While a suggestion begins, that waits: on a computer of few cores, what browsers draw would delay it.
+        """
         board = self._viewer.board
+        chosen = (self._viewer.choices, self._viewer.dark, self._panels.value)
+        chosen_now = self._shown[1:] != chosen
+        if board.begins_suggestion and not chosen_now:
+            return
         self._state.refresh()
         self._motion.refresh()
         self._health.refresh()
@@ -134,14 +141,8 @@ class View:
         run = self._viewer.run
         if run is None:
             return
-        shown = (
-            board.version if self._viewer.past is None else 0,
-            self._viewer.choices,
-            self._viewer.dark,
-            self._panels.value,
-        )
+        shown = (board.version if self._viewer.past is None else 0, *chosen)
         period = PLOT_PERIOD * (4.0 if len(run.evaluations) > LONG_RUN else 1.0)
-        chosen_now = self._shown[1:] != shown[1:]
         if shown == self._shown and self._panels.value == "models":
             self._details["models"](run)  # an answer may have come
         if shown == self._shown or (time.monotonic() - self._drawn < period and not chosen_now):
