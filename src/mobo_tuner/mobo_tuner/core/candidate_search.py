@@ -9,7 +9,8 @@ from functools import partial, reduce
 from operator import mul
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import cdist
 
 from mobo_tuner.core.acquisition import (
     ACQUISITION_FUNCTIONS,
@@ -39,6 +40,7 @@ FAILED_TOLERANCE = 0.02
 CONFIRMING_STEP = 0.02
 # A set-point within 0.05 % of every variable's range of a measured one must promise something new.
 _NEAR = 1e-3
+_MOST_LOOKS = 2  # beside a suspected reading
 _ALIKE = 1.0  # range of a constraint's readings, as a share of what they lack
 _ALIKE_BUT_FOR_NOISE = 4.0  # the same where readings are noisy
 _MOST_FAILURES = 3  # in a row, after which the search goes back to what was valid
@@ -94,6 +96,8 @@ class CandidateSearch:
         unconfirmed = self._unconfirmed()
         if unconfirmed is not None:
             return unconfirmed
+        if self._settings.training != "adam" and self._models.should_repeat(self._data):
+            return self._repetition()
         acquisition = self.acquisition_function(tails=False)
         if acquisition is None:
             return self._explored(rng)
@@ -182,16 +186,42 @@ class CandidateSearch:
         better |= data.feasible & ~belief.feasible
         if not belief.feasible.any():
             better |= self._nearer_limits()
-        for index in sorted({index for index, _ in self._archive.suspected}):
+        suspected = {index for index, _ in self._archive.suspected}
+        for index in sorted(suspected):
             if not better[index]:
                 continue
             distances = np.abs(inputs[index + 1 :] - inputs[index]).max(axis=1)
-            if (distances[data.valid[index + 1 :]] > 2.0 * CONFIRMING_STEP).all():
+            looks = distances[data.valid[index + 1 :]] <= 2.0 * CONFIRMING_STEP
+            looked = index + 1 + np.flatnonzero(data.valid[index + 1 :])[looks]
+            if len(looked) < _MOST_LOOKS and self._is_open(looked, suspected):
                 inward = np.where(inputs[index] > 0.0, -1.0, 1.0)
-                beside = np.asarray(inputs[index] + CONFIRMING_STEP * inward)
+                step = CONFIRMING_STEP * (1.0 + 0.5 * len(looked))
+                beside = np.asarray(inputs[index] + step * inward)
                 domain = self._problem.domain
                 return beside if domain.is_box else domain.nearest(beside[None])[0]
         return None
+
+    def _is_open(self, looked: NDArray[np.intp], suspected: set[int]) -> bool:
+        """Return whether evaluations beside a suspected reading have left open whether it is right.
+
+        They were suspected, too, as they are where an instrument failed for a while; by now it reads right elsewhere.
+        """
+        if len(looked) == 0:
+            return True
+        later = set(np.flatnonzero(self._data.valid[looked[-1] + 1 :]) + looked[-1] + 1)
+        return suspected.issuperset(looked) and bool(later - suspected)
+
+    def _repetition(self) -> Array:
+        """Return the set-point of the front ``(d,)`` that is farthest from all others; one of all if none is on it.
+
+        Whatever there is of luck in its reading, no other reading shows it.
+        """
+        data, rows = self._data, self._archive.belief.front_rows()
+        if len(rows) == 0:
+            rows = np.flatnonzero(data.valid)
+        distances = cdist(data.inputs[rows], data.inputs)
+        distances[np.arange(len(rows)), rows] = np.inf
+        return np.asarray(data.targets[rows[distances.min(axis=1).argmax()]])
 
     def _nearer_limits(self) -> BoolArray:
         """Return which evaluations have a suspected reading that lacks less of a constraint than believed ``(n,)``."""
