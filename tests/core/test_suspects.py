@@ -95,11 +95,23 @@ def test_what_differs_from_a_plateau_is_not_suspected() -> None:
 
 def test_readings_that_confirm_each_other_are_not_suspected() -> None:
     x, y = smooth(24)
-    x[8] = x[7] + 0.05
-    y[7:9] += 30.0
+    x[15] = x[7] + 0.05
+    y[[7, 15]] += 30.0
     assert found(x, y) == []
-    x[8] = -x[7]
-    assert found(x, y) == [7, 8]
+    x[15] = -x[7]
+    assert found(x, y) == [7, 15]
+
+
+def test_readings_of_an_instrument_that_failed_for_a_while_do_not_confirm_each_other() -> None:
+    x, y = smooth(24)
+    x[8:11] = x[7] + 0.05 * np.arange(1, 4)[:, None]
+    y[7:11] = 30.0
+    assert found(x, y) == [7, 8, 9, 10]
+    x[15], y[15] = x[10] + 0.05, 31.0  # it does so again later: a cliff
+    assert 10 not in found(x, y)
+    x[16] = x[15] + 0.02  # and not, beside it
+    y[16] = math.sin(2.0 * x[16, 0]) + x[16, 1]
+    assert 15 in found(x, y)
 
 
 @pytest.mark.parametrize("wild", [{"f": 10.0}, {"g": 1e6}, {"f": 0.0, "g": 0.0}, {"f": -50.0}])
@@ -193,13 +205,13 @@ def test_other_choices_without_an_order_confirm_nothing() -> None:
     rng = np.random.default_rng(1)
     x = np.column_stack([rng.choice(places, 40), rng.uniform(-1.0, 1.0, 40)])
     y = np.sin(3.0 * x[:, 1]) + (x[:, 0] == places[3])
-    x[7:9] = [[places[1], 0.1], [places[2], 0.12]]
-    y[7:9] = 30.0
-    kept = np.delete(np.arange(40), [7, 8])
+    x[[7, 20]] = [[places[1], 0.1], [places[2], 0.12]]
+    y[[7, 20]] = 8.0
+    kept = np.delete(np.arange(40), [7, 20])
     suspected = []
     for one_hot in (None, OneHot([places, None])):
         model = GaussianProcess(one_hot=one_hot).fit(x[kept], y[kept])
         rng = np.random.default_rng(0)
-        found = find_suspects(model, x, y, np.full(40, np.nan), np.array([7, 8]), rng)
+        found = find_suspects(model, x, y, np.full(40, np.nan), np.array([7, 20]), rng)
         suspected.append(found.tolist())
-    assert suspected == [[], [7, 8]]
+    assert suspected == [[], [7, 20]]

@@ -2,7 +2,9 @@
 
 A reading is suspected if a model of all others rules it out by far. It does not count as long as it
 is; what repeats nearby is not suspected, so that a cliff or a region without beam is believed as soon
-as a second evaluation confirms it. Where many readings are alike (a plateau, a clipped camera, no beam
+as a second evaluation confirms it. Readings that are far from all others hide each other, and are
+set aside before any is judged; those of an instrument that fails for a while do not confirm each
+other. Where many readings are alike (a plateau, a clipped camera, no beam
 yet), one that differs is what was sought, and nothing is suspected.
 """
 
@@ -21,8 +23,9 @@ _RULED_OUT = 10.0  # standard deviations from the prediction of all others
 _DOUBTFUL = 3.0  # the same where another output of the evaluation is suspected
 _LEAST_SHARE = 0.4  # of the others' range by which it is off
 _MOST_SHARE = 0.1  # of all readings that may be suspected
-_ABSURD = 1e3  # ranges of all others by which a reading is off that would hide what else is wrong
-_MOST_ABSURD = 0.25  # of all readings
+_APART = 5.0  # ranges of all others by which readings are off that would hide each other
+_FEW_APART = 5  # of them, or more as below
+_LEAST_REST = 8  # others
 _NEARBY = 0.5  # largest distance in any input of the kernel at which readings confirm each other
 _ALIKE = 3.0  # largest ratio of the deviations of readings that confirm each other
 
@@ -49,9 +52,10 @@ def find_suspects(
     kept = np.delete(np.arange(len(y)), former)
     if len(kept) == 0 or np.unique(y[kept], return_counts=True)[1].max() > _PLATEAU * len(kept):
         return np.empty(0, dtype=np.intp)
-    absurd = kept[_absurd(y[kept])]
-    if len(absurd):
-        kept, former = np.setdiff1d(kept, absurd), np.union1d(former, absurd)
+    apart = _apart(y)
+    hidden = np.setdiff1d(apart, former)
+    if len(hidden) > 1:
+        kept, former = np.setdiff1d(kept, hidden), np.union1d(former, hidden)
         model = model.untrained().fit(x[kept], y[kept], stddev[kept], rng=rng)
     while len(kept) > _FEWEST:
         loo = model.leave_one_out()
@@ -71,25 +75,31 @@ def find_suspects(
         deviation = _deviation(model, x[i], float(y[i]), float(stddev[i]))
         if deviation is not None:
             suspects[int(i)] = deviation
-    found = sorted(i for i in suspects if not _is_confirmed(i, suspects, model.seen(x)))
-    few = len(np.setdiff1d(found, absurd)) <= max(1, int(_MOST_SHARE * len(y)))
-    return np.array(found if few else [], dtype=np.intp)
+    seen = model.seen(x)
+    found = np.array(
+        sorted(i for i in suspects if not _is_confirmed(i, suspects, seen, i in apart)),
+        dtype=np.intp,
+    )
+    few = len(np.setdiff1d(found, apart)) <= max(1, int(_MOST_SHARE * len(y)))
+    return found if few else np.intersect1d(found, apart)
 
 
-def _absurd(y: Array) -> NDArray[np.intp]:
-    """Return the rows of the few readings beside which all others ``(n,)`` look alike.
+def _apart(y: Array) -> NDArray[np.intp]:
+    """Return the rows of the few readings ``(n,)`` that are many ranges of all others away from these.
 
     One of them would be ruled out by the others; two or more hide each other.
     """
     order = np.argsort(np.abs(y - np.median(y)), kind="stable")
-    for count in range(int(_MOST_ABSURD * len(y)), 0, -1):
+    most = max(_FEW_APART, int(_MOST_SHARE * len(y)))
+    for count in range(min(most, len(y) // 2, len(y) - _LEAST_REST), 0, -1):
         rest, apart = y[order[:-count]], y[order[-count:]]
-        if len(rest) <= _FEWEST:
-            continue
-        distance = np.abs(apart - np.median(rest)).min()
-        if distance > _ABSURD * np.ptp(rest) > 0.0:
-            return order[-count:]
-    return np.empty(0, dtype=np.intp)
+        deviation = np.abs(rest - np.median(rest))
+        nearest = np.abs(apart - np.median(rest)).min()
+        # Where readings span decades, the next one is as far from the rest as the rest's last one from its median.
+        is_tail = nearest * np.median(deviation) <= np.square(deviation.max())
+        if nearest > _APART * np.ptp(rest) and not is_tail:
+            return np.sort(order[-count:])
+    return order[:0]
 
 
 def is_doubtful(model: GaussianProcess, row: int) -> bool:
@@ -133,16 +143,25 @@ def _deviation(model: GaussianProcess, x: Array, y: float, stddev: float) -> flo
     return deviation if ruled_out else None
 
 
-def _is_confirmed(i: int, deviations: dict[int, float], x: Array) -> bool:
+def _is_confirmed(i: int, deviations: dict[int, float], x: Array, far: bool) -> bool:
     """Return whether another reading nearby deviates in the same way.
 
+    Where it is far from all others, an instrument may have failed for a while: readings of a row in which none was
+    as expected do not confirm each other, and a reading that is as expected and nearer speaks against it.
+
     Args:
-        i: Row of the reading.
+        i: Row of the reading, in the order of measuring.
         deviations: Deviations of the suspects by their rows.
         x: Inputs as the kernel sees them, where every other choice without an order is far.
+        far: Whether it is far from all others.
     """
+    distances = np.abs(x - x[i]).max(axis=1)
+    expected = np.delete(distances, list(deviations))
+    nearest = expected.min(initial=np.inf) if far else np.inf
     for j, other in deviations.items():
         alike = other * deviations[i] > 0.0 and 1.0 / _ALIKE <= other / deviations[i] <= _ALIKE
-        if j != i and alike and np.abs(x[i] - x[j]).max() <= _NEARBY:
-            return True
+        if j != i and alike and distances[j] <= min(_NEARBY, nearest):
+            between = range(min(i, j) + 1, max(i, j))
+            if not far or any(k not in deviations for k in between):
+                return True
     return False
