@@ -1,7 +1,8 @@
 """Runs of an experiment: planned, computed in any order, kept in one small file, and continued where they stopped.
 
 A finished run is a record in the experiment's file. Its version is a digest of the function and the arguments that made
-it, the surrogate and the core: after a change of these, the next call computes it again and replaces it.
+it, the surrogate and the core: after a change of these, the next call computes it again and replaces it. A record also
+has the commit and the date of its computation, because a file may have runs of several.
 """
 
 from __future__ import annotations
@@ -136,7 +137,8 @@ class Results:
             seconds: CPU time [s], unless the result says what it took in all.
             about: Command, versions and date.
         """
-        kept = {"seconds": round(seconds, 1)} | record | {"version": run.version}
+        made = {"version": run.version, "commit": about["commit"], "date": about["date"]}
+        kept = {"seconds": round(seconds, 1)} | record | made
         self.runs.setdefault(run.label, {})[run.seed] = kept
         self.about = about
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -157,6 +159,10 @@ class Results:
     def values(self, label: str, name: str) -> FloatArray:
         """Return one number of each run of a label `(r,)`."""
         return np.array([record[name] for record in self.records(label)], dtype=float)
+
+    def commits(self, label: str) -> list[str]:
+        """Return the commits at which the runs of a label were computed, those of lower seeds first."""
+        return list(dict.fromkeys(record["commit"] for record in self.records(label)))
 
     def _text(self) -> str:
         """Return the file's text: a line for each run."""

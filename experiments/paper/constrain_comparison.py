@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from experiments.campaign import PlannedRun, Results, Size
 from experiments.paper.experiment import Experiment, Row, draw_front, mean_and_spread, runs
-from experiments.paper.injector import LIMIT, PICTURED, scaled_limit, tune
+from experiments.paper.injector import INITIAL, LIMIT, PICTURED, scaled_limit, tune
 
 CASES = {
     "nothing": ("(a) no limit", "tab:gray"),
@@ -15,8 +15,6 @@ CASES = {
     "constraint": (f"(c) constraint dE < {LIMIT} MeV", "tab:orange"),
 }
 PRESETS = {"paper": "UCB-HVI", "default": "default"}
-# Points of the initial design, which no method chooses.
-FIRST = {"paper": 20, "default": 14}
 
 
 def plan(size: Size) -> list[PlannedRun]:
@@ -57,7 +55,7 @@ def compare(results: Results) -> list[Row]:
             records = results.records(f"{preset} {case}")
             if not records:
                 continue
-            late = np.array([_share(r["violating"][FIRST[preset] :]) for r in records])
+            late = np.array([_share(r["violating"][INITIAL[preset] :]) for r in records])
             half = np.array([_share(r["violating"][len(r["violating"]) // 2 :]) for r in records])
             rows.append(
                 Row(

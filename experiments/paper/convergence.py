@@ -14,6 +14,7 @@ from experiments.paper.experiment import (
     draw_front,
     mean_and_spread,
     projected_front,
+    with_spread,
 )
 from experiments.paper.injector import (
     PICTURED,
@@ -66,7 +67,7 @@ def compare(results: Results) -> list[Row]:
     rows = []
     for n in (20, 60, 100, 200, 500):
         parts = [
-            f"{title} {curves[:, n - 1].mean():.1f} ± {curves[:, n - 1].std():.1f}"
+            f"{title} {with_spread(curves[:, n - 1], 1)}"
             for label, (title, _) in METHODS.items()
             if (curves := results.curves(label)).size and curves.shape[1] >= n
         ]

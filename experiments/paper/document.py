@@ -23,12 +23,13 @@ def part(name: str, experiment: Experiment, results: Results) -> str:
     packages = ", ".join(f"{name} {number}" for name, number in versions.items())
     runs = "; ".join(
         f"{label} {len(records)} × {sum(r['seconds'] for r in records.values()) / len(records):.0f} s"
+        f" ({', '.join(results.commits(label))})"
         for label, records in sorted(results.runs.items())
     )
     lines += [
         "",
-        f"`{about['command']}`, {about['date']}, commit {about['commit']}. "
-        f"Runs × CPU time of each: {runs}. {packages}.",
+        f"`python -m experiments.paper {name}`, last on {about['date']}. Runs × CPU time of each (commit): "
+        f"{runs}. {packages}.",
         "",
     ]
     return "\n".join(lines) + "\n"

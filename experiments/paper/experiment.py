@@ -57,9 +57,13 @@ def runs(number: int) -> str:
 
 def mean_and_spread(values: FloatArray, digits: int = 2) -> str:
     """Return mean, standard deviation and number of values `(r,)` as text."""
-    if len(values) == 1:
-        return f"{values[0]:.{digits}f} (1 run)"
-    return f"{values.mean():.{digits}f} ± {values.std():.{digits}f} ({runs(len(values))})"
+    return f"{with_spread(values, digits)} ({runs(len(values))})"
+
+
+def with_spread(values: FloatArray, digits: int) -> str:
+    """Return mean and standard deviation of values `(r,)` as text; of one value no standard deviation."""
+    mean = f"{values.mean():.{digits}f}"
+    return mean if len(values) == 1 else f"{mean} ± {values.std(ddof=1):.{digits}f}"
 
 
 def draw_curves(axes: Axes, curves: FloatArray, label: str, color: str, **line: Any) -> None:
@@ -75,7 +79,7 @@ def draw_curves(axes: Axes, curves: FloatArray, label: str, color: str, **line: 
     if not len(curves):
         return
     n = np.arange(1, curves.shape[1] + 1)
-    mean, spread = curves.mean(axis=0), curves.std(axis=0)
+    mean, spread = curves.mean(axis=0), curves.std(axis=0, ddof=min(len(curves) - 1, 1))
     axes.plot(n, mean, color=color, label=f"{label} ({runs(len(curves))})", **line)
     axes.fill_between(n, mean - spread, mean + spread, color=color, alpha=0.2, linewidth=0.0)
 

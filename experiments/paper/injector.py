@@ -28,6 +28,7 @@ from mobo_tuner.core.hypervolume import hypervolume
 from mobo_tuner.core.pareto import FloatArray, is_nondominated
 
 PICTURED = 0  # seed of the single runs in a picture
+INITIAL = {"paper": 20, "default": 8}  # points of the initial design, which no model chooses
 LIMIT = 0.52  # of dE [MeV]
 # Only in quick runs: the paper's are 5000 and 1000.
 QUICK: dict[str, Any] = {"adam_steps": 100, "adam_retraining_steps": 20}

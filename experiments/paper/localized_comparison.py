@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.campaign import PlannedRun, Results, Size
+from experiments.campaign import PlannedRun, Record, Results, Size
 from experiments.paper.experiment import Experiment, Row, draw_curves, runs
-from experiments.paper.injector import PICTURED, tune, tune_perfectly
+from experiments.paper.injector import INITIAL, PICTURED, tune, tune_perfectly
 from mobo_tuner.core.pareto import FloatArray
 
 # The paper gives Sigma = 0.25 I. As a precision, which its text says, that hardly matters; as a covariance it is 4 I.
@@ -20,7 +20,6 @@ CASES = {
     "default proximal": (r"default, $\Lambda = 4I$", "tab:olive"),
     "perfect": ("perfect knowledge", "black"),
 }
-FIRST = 20
 
 
 def plan(size: Size) -> list[PlannedRun]:
@@ -42,9 +41,13 @@ def plan(size: Size) -> list[PlannedRun]:
 
 def _steps(results: Results, label: str) -> FloatArray:
     """Return the changes of K1, which spans 2, at every suggestion of all runs."""
-    return np.concatenate(
-        [np.abs(np.diff(record["K1"][FIRST - 1 :])) for record in results.records(label)]
-    )
+    return np.concatenate([_changes(record, label) for record in results.records(label)])
+
+
+def _changes(record: Record, label: str) -> FloatArray:
+    """Return the changes of K1 at every suggestion of a run."""
+    first = INITIAL["default" if label.startswith("default") else "paper"]
+    return np.abs(np.diff(record["K1"][first - 1 :]))
 
 
 def compare(results: Results) -> list[Row]:
@@ -104,7 +107,7 @@ def draw(results: Results) -> Figure:
             panels[path].plot(n, record["K1"], color=color, linewidth=0.8)
             panels[path].set(title=f"({letter}) {title}", ylabel="$K_1$", xlabel="evaluations")
             panels[path].set(ylim=(-1.05, 1.05))
-            panels[steps].hist(np.abs(np.diff(record["K1"][FIRST - 1 :])), bins, color=color)
+            panels[steps].hist(_changes(record, label), bins, color=color)
             panels[steps].set(xlabel=r"$|\Delta K_1|$", xlim=(0.0, 2.0))
     for label, (title, color) in CASES.items():
         line = {"linestyle": "--"} if label == "perfect" else {}

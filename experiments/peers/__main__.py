@@ -35,12 +35,12 @@ from experiments.paper.experiment import STYLE
 from experiments.peers.methods import METHODS, installed
 from experiments.peers.problems import EVERY, PROBLEMS
 from experiments.peers.race import race
-from experiments.peers.report import details, draw, label, summary
+from experiments.peers.report import details, draw, label, starts, summary
 
 DOCUMENT = ROOT / "docs" / "peers.md"
 NOISES = (0.0, 0.02, 0.05, 0.1)
 OURS = ("default", "paper", "perfect")
-_PART = re.compile(r"(<!-- (summary|details) ([\d.]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+_PART = re.compile(r"(<!-- (summary|starts|details) ([\d.]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def plan(
@@ -52,10 +52,10 @@ def plan(
     limit: float,
 ) -> list[PlannedRun]:
     """Return the runs on a problem, seed by seed."""
-    starts = 2 * len(EVERY[problem]().problem.variables) + 2
+    first = 2 * len(EVERY[problem]().problem.variables) + 2
     shared = {
         "problem": problem,
-        "evaluations": size.number(evaluations, starts + 2),
+        "evaluations": size.number(evaluations, first + 2),
         "limit": size.number(round(limit), 10),
     }
     return [
@@ -87,7 +87,7 @@ def with_parts(text: str, all_results: Mapping[str, Results]) -> str:
     """
 
     def current(match: re.Match[str]) -> str:
-        table = {"summary": summary, "details": details}[match[2]]
+        table = {"summary": summary, "starts": starts, "details": details}[match[2]]
         lines = table(all_results, float(match[3]))
         inside = "\n".join(lines) if len(lines) > 2 else "Not computed yet."
         return f"{match[1]}\n{inside}\n\n{match[4]}"

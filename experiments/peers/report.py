@@ -41,15 +41,19 @@ class Duel(NamedTuple):
 
     Attributes:
         problem: Problem.
+        seed: Seed of the starts.
         early: Ratio of the hypervolumes after 30 evaluations, or at the end if there are fewer.
         late: Ratio of the hypervolumes at the end.
+        lowest: Lowest ratio of the hypervolumes from evaluation 20 on.
         needed: Evaluations that ours needs for the peer's last hypervolume, as a share of those that the peer needed;
             infinite if ours does not reach it.
     """
 
     problem: str
+    seed: int
     early: float
     late: float
+    lowest: float
     needed: float
 
 
@@ -68,7 +72,11 @@ def duels(all_results: Mapping[str, Results], peer: str, noise: float) -> list[D
             reach = [np.flatnonzero(curve >= last * (1.0 - 1e-9)) for curve in (a, b)]
             needed = (reach[0][0] + 1) / (reach[1][0] + 1) if len(reach[0]) else np.inf
             early = min(30, n) - 1
-            found.append(Duel(problem, _ratio(a[early], b[early]), _ratio(a[-1], last), needed))
+            ratios = [
+                _ratio(ours_then, theirs_then) for ours_then, theirs_then in zip(a, b, strict=True)
+            ]
+            lowest = min(ratios[min(20, n) - 1 :])
+            found.append(Duel(problem, seed, ratios[early], ratios[-1], lowest, needed))
     return found
 
 
@@ -95,17 +103,39 @@ def summary(all_results: Mapping[str, Results], noise: float) -> list[str]:
                 f"| {TITLES[peer][0]} | {name}, {len({d.problem for d in fought})} | {len(fought)} "
                 f"| {np.mean(early >= 1.0 - LEVEL):.0%}, {np.mean(late >= 1.0 - LEVEL):.0%} "
                 f"| {np.mean(late > 1.0 + LEVEL):.0%} "
-                f"| {np.median([d.needed for d in fought]):.2f} "
+                f"| {_needed(float(np.median([d.needed for d in fought])))} "
                 f"| {worst.late:.3f} ({worst.problem}) |"
             )
+    return lines
+
+
+def _needed(ratio: float) -> str:
+    return "not reached" if np.isinf(ratio) else f"{ratio:.2f}"
+
+
+def starts(all_results: Mapping[str, Results], noise: float) -> list[str]:
+    """Return the table of every start of the default strategy, as a share of each peer."""
+    lines = [
+        "| problem | seed | " + " | ".join(TITLES[peer][0] for peer in PEERS) + " |",
+        "|---|---" + "|---" * len(PEERS) + "|",
+    ]
+    cells: dict[tuple[str, int], dict[str, str]] = {}
+    for peer in PEERS:
+        for duel in duels(all_results, peer, noise):
+            shares = ", ".join(f"{share:.2f}" for share in (duel.early, duel.late, duel.lowest))
+            cells.setdefault((duel.problem, duel.seed), {})[peer] = shares
+    order = list(all_results)
+    for problem, seed in sorted(cells, key=lambda key: (order.index(key[0]), key[1])):
+        row = [cells[problem, seed].get(peer, "–") for peer in PEERS]
+        lines.append(f"| {problem} | {seed} | " + " | ".join(row) + " |")
     return lines
 
 
 def details(all_results: Mapping[str, Results], noise: float) -> list[str]:
     """Return the table of every problem and method."""
     lines = [
-        "| problem | method | seeds | after 30 | at the end | worst seed | suggestion [s] | stopped |",
-        "|---|---|---|---|---|---|---|---|",
+        "| problem | method | seeds | after 30 | at the end | worst seed | suggestion [s] | stopped | commit |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for problem, results in all_results.items():
         best = max(
@@ -133,6 +163,7 @@ def details(all_results: Mapping[str, Results], noise: float) -> list[str]:
             times = [r["suggestion"] for r in records if "suggestion" in r]
             cells.append(f"{max(np.median(times), 0.001):.2g}" if times else "–")
             cells.append(f"after {', '.join(stopped)}" if stopped else "")
+            cells.append(", ".join(results.commits(label(method, noise))))
             lines.append(f"| {problem} | {title} | {len(records)} | " + " | ".join(cells) + " |")
     return lines
 
