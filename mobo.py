@@ -39,6 +39,9 @@ if not (3, 11) <= sys.version_info[:2] <= (3, 13) or sys.platform != "linux":
         f"this is Python {sys.version.split()[0]} on {sys.platform}"
     )
 
+if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # a Ctrl-C during the imports prints no traceback
+
 from launcher import campaign, run, steering, verbs
 from launcher.command_line import LIVE, STEERING, make_parser
 from launcher.errors import LauncherError
@@ -92,6 +95,8 @@ def complain(what: object, exit_status: int = 1) -> int:
 
 
 if __name__ == "__main__":
+    if signal.getsignal(signal.SIGINT) == signal.SIG_DFL:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     status = main(sys.argv[1:])
     try:
         sys.stdout.flush()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import signal
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -52,6 +53,8 @@ def steer(root: Path, arguments: Sequence[str]) -> NoReturn:
         python = str(project.environment.python)
     words = [LIVE_SERVER, *_node_arguments(others)] if live else [PROGRAM, verb, *others]
     sys.stdout.flush()
+    # A Ctrl-C while Python starts waits for the program, which ends quietly (`mobo_tuner.interrupts`).
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     os.execve(python, [python, "-P", "-m", *words], clean_environment(**environment))
 
 

@@ -16,7 +16,7 @@ from mobo_tuner.bridge.describe import MACHINE_BRIDGE
 from mobo_tuner.nodes.parameters import CONSOLE, LIVE_SERVER, PAGE, RECORDER
 from mobo_tuner.parameter_spec import ParameterSpec
 from mobo_tuner.tuner.parameters import TUNER
-from tests.support.paths import CONFIG
+from tests.support.paths import CONFIG, ROOT
 from tests.support.processes import NodeStarter, wait_until
 
 PREFIX = Path(sys.prefix)
@@ -82,6 +82,40 @@ def test_help_of_steer_ends_with_0() -> None:
     done = run(sys.executable, "-m", "mobo_tuner.nodes.steer", "--help")
     assert done.returncode == 0
     assert "pause" in done.stdout
+
+
+INTERRUPTED = """
+import os, signal, time
+os.kill(os.getpid(), signal.SIGINT)
+time.sleep(60.0)
+"""
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        *(["-m", module] for module, _ in NODES.values()),
+        ["-m", "mobo_tuner.nodes.steer", "status"],
+        [str(PREFIX / "bin" / "tuner")],
+        [str(PREFIX / "bin" / "awa_sim")],
+        [str(ROOT / "mobo.py"), "status"],
+    ],
+    ids=" ".join,
+)
+def test_ctrl_c_during_the_imports_ends_quietly(command: list[str], tmp_path: Path) -> None:
+    for module in ("rclpy", "secrets"):  # what nodes and what the entry script import early
+        (tmp_path / f"{module}.py").write_text(INTERRUPTED)
+    path = os.pathsep.join((str(tmp_path), os.environ.get("PYTHONPATH", "")))
+    done = subprocess.run(
+        [sys.executable, *command],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode in (130, -signal.SIGINT)  # both are 130 for a shell
+    assert (done.stdout, done.stderr) == ("", "")
 
 
 # A name that nobody knows, and the nearest right one.

@@ -324,7 +324,7 @@ def run(arguments: Sequence[str]) -> int:
 
 def main() -> None:
     """Carry out the command line; SIGTERM and a closed terminal stop a move like Ctrl-C."""
-    for number in (signal.SIGTERM, signal.SIGHUP):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler)
     sys.exit(run(sys.argv[1:]))

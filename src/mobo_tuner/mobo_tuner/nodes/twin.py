@@ -222,7 +222,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     thread = ExecutorThread(executor, spin=True)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     try:
         twin = Twin(node, thread, options.folder.name, options.machine_timeout)
         try:
