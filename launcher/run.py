@@ -426,20 +426,7 @@ def _tune(
         )
         if failure and conclusion.state == "finished":
             return Conclusion("failed", failure, 1)
-    if conclusion.state == "finished":
-        return _judge(folder, conclusion)
     return conclusion
-
-
-def _judge(folder: RunFolder, conclusion: Conclusion) -> Conclusion:
-    """Return the conclusion of a completed run, which failed if no evaluation is valid."""
-    summary = folder.summary()
-    failed = summary.get("failed")
-    if not failed or failed != summary.get("evaluations"):
-        return conclusion
-    reason = f"the run failed: all of its {failed} evaluations failed"
-    last = folder.last_error()
-    return Conclusion("failed", f"{reason}, the last one because {last}" if last else reason, 1)
 
 
 def now() -> str:

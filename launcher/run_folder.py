@@ -143,15 +143,6 @@ class RunFolder:
         except OSError as error:  # shutil.Error is one; its text is a list
             raise RunFolderError(f"'{self.path}' cannot be written: {error}") from None
 
-    def last_error(self) -> str:
-        """Return the error of the last evaluation in the journal; empty if it has none."""
-        with contextlib.suppress(OSError, ValueError):
-            lines = (self.path / JOURNAL_FILE).read_text().splitlines()
-            records = [json.loads(line) for line in lines]
-            errors = [r.get("error_msg") for r in records if r.get("type") == "evaluation"]
-            return str(errors[-1] or "") if errors else ""
-        return ""
-
     def record(self, facts: Mapping[str, Any]) -> None:
         """Write `run.json` atomically; in place on a full disk or in a read-only folder.
 

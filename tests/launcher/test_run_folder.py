@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -50,24 +49,6 @@ def test_the_rule_for_names_of_runs_is_that_of_the_tuner(run_id: str) -> None:
     with pytest.raises(ValueError, match="run_id") as error:
         check_run_id(run_id)
     assert run_folder.RUN_ID_RULE.split(",")[0] in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("lines", "error"),
-    [
-        ([], ""),
-        ([{"type": "start"}], ""),
-        ([{"type": "evaluation", "error_msg": "stuck"}, {"type": "end"}], "stuck"),
-        ([{"type": "evaluation", "error_msg": "a"}, {"type": "evaluation", "error_msg": ""}], ""),
-        (["not JSON"], ""),
-    ],
-)
-def test_the_last_error_is_that_of_the_last_evaluation(
-    tmp_path: Path, lines: list[object], error: str
-) -> None:
-    text = "".join(f"{line if isinstance(line, str) else json.dumps(line)}\n" for line in lines)
-    (tmp_path / "journal.jsonl").write_text(text)
-    assert RunFolder(tmp_path).last_error() == error
 
 
 def test_a_folder_that_is_gone_adopts_nothing(tmp_path: Path) -> None:

@@ -205,7 +205,7 @@ def test_an_error_of_the_run_is_one_sentence_after_what_was_reached(session: Ses
     session.ends_with(1)
     assert session.process.stderr.strip() == "the machine is gone"
     assert session.lines[-1] == (
-        "run run1 broke off: 2 evaluations, hypervolume 101, 2 on the Pareto front"
+        "run run1 ended with an error: 2 evaluations, hypervolume 101, 2 on the Pareto front"
     )
 
 

@@ -268,6 +268,28 @@ def test_a_machine_that_keeps_failing_ends_the_run(
     assert result.evaluations == 4
 
 
+def test_a_run_whose_own_evaluations_are_of_no_use_is_an_error(
+    start_tuner: Callable[..., NodeProcess], client: GoalClient, node: Node, tmp_path: Path
+) -> None:
+    answers = [Answer({}, FAILED, "no beam"), Answer({"f1": (1.0, 0.0)})]
+    machine = toy_machine(node, lambda _: answers[0])
+    start_tuner()
+    client.send(Tune.Goal(run_id="dark", evaluations=2))
+    dark = client.wait()
+    assert (dark.error_code, dark.evaluations) == (Tune.Result.MACHINE_ERROR, 2)
+    assert dark.error_msg == "all of its 2 evaluations failed, the last one because no beam"
+    assert journal(tmp_path, "dark")[-1]["stop_reason"] == "error"
+    machine.answer = lambda _: answers[1]
+    client.send(Tune.Goal(run_id="half", evaluations=1))
+    assert client.wait().error_msg == "in 1 evaluation it never measured f2"
+    machine.answer = lambda goal: Answer(toy_values(goal))
+    client.send(Tune.Goal(run_id="bright", evaluations=2))
+    assert client.wait().error_code == NONE
+    machine.answer = lambda _: answers[0]
+    client.send(Tune.Goal(run_id="dark-again", resume_from="bright", evaluations=3))
+    assert "no beam" in client.wait().error_msg
+
+
 def test_an_interlocked_machine_ends_the_run_with_its_own_words(
     start_tuner: Callable[..., NodeProcess], client: GoalClient, node: Node
 ) -> None:

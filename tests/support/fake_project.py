@@ -87,11 +87,6 @@ if name == "pytest":
 if name == "report":
     if behaviour == "crash":
         sys.exit("the journal is damaged")
-    if behaviour == "all failed":
-        with open("journal.jsonl", "w") as file:
-            file.write(json.dumps({"type": "evaluation", "error_msg": "K1 is stuck"}) + "\\n")
-        with open("summary.json", "w") as file:
-            json.dump({"evaluations": 2, "failed": 2}, file)
     print("the front")
     sys.exit(0)
 if behaviour == "crash":

@@ -378,14 +378,6 @@ def test_a_run_that_another_client_cancels_is_canceled(project: FakeProject) -> 
     assert entry(project)["state"] == "canceled"
 
 
-def test_a_run_without_a_valid_evaluation_fails(project: FakeProject) -> None:
-    status, output, errors = project.run("run", report="all failed")
-    assert status == 1
-    assert "all of its 2 evaluations failed" in errors
-    assert "K1 is stuck" in errors
-    assert failure(project, output)["state"] == "failed"
-
-
 def test_a_taken_domain_is_refused(project: FakeProject) -> None:
     process = project.start("run", console="wait")
     project.wait_for_event("console ready")

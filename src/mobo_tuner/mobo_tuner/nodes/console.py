@@ -178,7 +178,7 @@ class Console:
             self._conclude(f"{result.error}\nrun {result.run_id} was canceled: {reached}")
             return EXIT_CANCELED
         if result.evaluations:
-            self._conclude(f"run {result.run_id} broke off: {reached}")
+            self._conclude(f"run {result.run_id} ended with an error: {reached}")
         raise result.error
 
     def _conclude(self, text: str) -> None:

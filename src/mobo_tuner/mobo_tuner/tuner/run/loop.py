@@ -82,6 +82,9 @@ class RunLoop:
                 await self._recording.await_subscribers(run.interrupt)
                 with context.topics.heartbeat.of(run.run_id):
                     ending, done = await self._leave(run, await self._tune(run, listener))
+                    if ending.error_code == _CODES.NONE and run.changeable and run.barren:
+                        text = f"{run.barren}; {done}" if done else run.barren
+                        ending = Ending(StopReason.ERROR, _CODES.MACHINE_ERROR, text)
                     ending = end_run(context, run, ending)
                     context.topics.front(run.front_message(context.now()))
                     context.status.hint("run", run.hints)  # not what its fallbacks would do

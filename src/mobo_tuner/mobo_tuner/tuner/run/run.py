@@ -30,6 +30,7 @@ from mobo_tuner.tuner.messages import (
 )
 from mobo_tuner.tuner.run.steering import Change, Steering
 from mobo_tuner.tuner.run.stopping import Progress
+from mobo_tuner.wording import counted
 
 
 class RunError(Exception):
@@ -152,6 +153,7 @@ class Run:
         progress: Recent gains, and the time so far.
         found: What the run has found so far.
         hints: What keeps it from getting anywhere, each with what to do.
+        inherited: Number of evaluations with which it begins, those of an earlier run.
     """
 
     run_id: str
@@ -177,10 +179,12 @@ class Run:
     progress: Progress = field(default_factory=Progress)
     found: Findings = field(init=False)
     hints: tuple[str, ...] = ()
+    inherited: int = field(init=False)
     _shown: Hints = field(default_factory=Hints)
 
     def __post_init__(self) -> None:
         self.found = Findings.of(self.optimizer)
+        self.inherited = len(self.records)
 
     @property
     def problem(self) -> Problem:
@@ -207,6 +211,28 @@ class Run:
         """Whether the budget is spent or the hypervolume goal is reached."""
         goal_met = 0.0 < self.hypervolume_goal <= self.found.hypervolume
         return goal_met or self.index >= self.budget
+
+    @property
+    def barren(self) -> str:
+        """Reason why its own evaluations are of no use; empty if one is, or none was made or all were withdrawn."""
+        withdrawn = {index for index, name in self.found.withdrawn if name is None}
+        own = [r for _, r in self.records[self.inherited :] if r.index not in withdrawn]
+        if not own or any(record.feasible for record in own):
+            return ""
+        if all(record.failed for record in own):
+            last = own[-1].error_msg
+            if len(own) == 1:
+                return f"its only evaluation failed: {last}"
+            return f"all of its {len(own)} evaluations failed, the last one because {last}"
+        unknown = (math.nan, math.nan)
+        missing = [
+            name
+            for name in self.problem.required_diagnostics
+            if not any(math.isfinite(r.diagnostics.get(name, unknown)[0]) for r in own)
+        ]
+        if not missing:
+            return ""
+        return f"in {counted(len(own), 'evaluation')} it never measured {' and '.join(missing)}"
 
     def stop(self, reason: str) -> None:
         """Ask the run to stop; the first reason counts."""
