@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,7 +12,7 @@ from pathlib import Path
 
 from launcher.environment import STAGES, Environment, Stage, clean_environment
 from launcher.errors import UsageError
-from launcher.processes import Processes
+from launcher.processes import Processes, describe_status
 
 # One thread each: the processes of a run share the cores.
 THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -84,6 +85,7 @@ class Project:
         show: bool = False,
         timeout: float = ANSWER_TIMEOUT,
         surroundings: Mapping[str, str] | None = None,
+        machine: subprocess.Popen[bytes] | None = None,
     ) -> str:
         """Run one of the programs and return what it prints.
 
@@ -95,6 +97,7 @@ class Project:
             show: Whether it prints to this script's output, so that nothing is returned.
             timeout: Longest time that it may take [s].
             surroundings: Environment variables by which it finds ROS nodes.
+            machine: Process of the machine that it asks, without which it would wait in vain.
 
         Raises:
             UsageError: If something is wrong.
@@ -108,7 +111,16 @@ class Project:
                 stdout=None if show else output,
                 stderr=complaint,
             )
-            status = self.processes.wait(process, timeout)
+            self.processes.wait_until(
+                lambda: (
+                    process.poll() is not None
+                    or (machine is not None and machine.poll() is not None)
+                ),
+                timeout,
+            )
+            if process.poll() is None and machine is not None and machine.returncode is not None:
+                raise UsageError(f"the machine's program {describe_status(machine.returncode)}")
+            status = process.returncode
             for stream in (output, complaint):
                 stream.seek(0)
             words = complaint.read().decode(errors="replace").strip().splitlines()

@@ -259,7 +259,7 @@ class RunFolder:
             raise RunFolderError(
                 f"'{self.path / SUMMARY_FILE}' holds no Pareto front that can be read"
             ) from None
-        lines.append(f"Pareto front, {len(front)} points")
+        lines.append(f"Pareto front, {len(front)} {'point' if len(front) == 1 else 'points'}")
         for title, points in tables.items():
             if points:
                 columns = list(points[0])

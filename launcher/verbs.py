@@ -82,8 +82,9 @@ def new(options: argparse.Namespace) -> None:
             machine = Machine(command=options.machine or "")
             machine.check_program(project.search_path)
             with open_domain(options, machine) as domain:
+                program = None
                 if machine.command:
-                    project.processes.start(
+                    program = project.processes.start(
                         split_command(machine.command),
                         environment=clean_environment(
                             **domain.environment, **THREADS, PATH=project.search_path
@@ -92,7 +93,7 @@ def new(options: argparse.Namespace) -> None:
                         stdout=subprocess.DEVNULL,
                     )
                     arguments.append(f"--how=--machine {shlex.quote(machine.command)}")
-                project.ask(module, *arguments, surroundings=domain.environment)
+                project.ask(module, *arguments, surroundings=domain.environment, machine=program)
     print(options.config)
 
 

@@ -15,6 +15,7 @@ MODULES = (
     "mobo_tuner.core.pareto",
     "mobo_tuner.core.problem",
     "mobo_tuner.names",
+    "mobo_tuner.wording",
 )
 
 

@@ -18,6 +18,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.typesys import Stores, get_typestore
@@ -27,6 +28,7 @@ from std_srvs.srv import Trigger
 
 from mobo_msgs_py.action import Tune
 from mobo_msgs_py.msg import Evaluation, NamedValue, Problem, RecorderStatus, Variable
+from mobo_tuner.nodes.recorder import REPEAT_PERIOD, Repetitions
 from mobo_tuner.ros.qos import LATCHED, STREAM
 from mobo_tuner.runs.rebuild import records_of_bag
 from tests.support.processes import NodeProcess, NodeStarter
@@ -145,7 +147,7 @@ def test_every_message_is_in_the_bag_after_a_signal(
         assert messages["/evaluation"][7].setpoint[0].value == 407.0
         assert len(messages["/problem"]) == 1
         assert messages["/problem"][0].variables[0].name == "K1"
-        assert len(messages["/recorder_status"]) >= 2
+        assert messages["/recorder_status"][-1].recording
         assert any("ready: " in m.msg for m in messages["/rosout"])
     metadata = yaml.safe_load((recording.bag / "metadata.yaml").read_text())
     information = metadata["rosbag2_bagfile_information"]
@@ -383,3 +385,29 @@ def test_the_bag_path_is_needed(start_node: NodeStarter) -> None:
     process = start_node("-m", "mobo_tuner.nodes.recorder")
     assert process.wait() == 2
     assert "the parameter bag_path is empty" in process.stderr
+
+
+def test_a_state_that_stays_the_same_is_written_now_and_then() -> None:
+    def health(message: str, name: str = "tuner: run") -> bytes:
+        part = DiagnosticStatus(level=DiagnosticStatus.OK, name=name, message=message)
+        return bytes(serialize_message(DiagnosticArray(status=[part])))
+
+    def said(messages: int, path: str = "bag") -> bytes:
+        status = RecorderStatus(recording=True, path=path, messages=messages)
+        return bytes(serialize_message(status))
+
+    repetitions = Repetitions()
+
+    def is_left_out(kind: type, data: bytes, now: float) -> bool:
+        return repetitions.contain(kind, data, now)
+
+    assert not is_left_out(DiagnosticArray, health("idle"), 0.0)
+    assert is_left_out(DiagnosticArray, health("idle"), 1.0)
+    assert not is_left_out(DiagnosticArray, health("idle", "machine: beam"), 1.0)  # of another node
+    assert not is_left_out(DiagnosticArray, health("paused"), 2.0)
+    assert not is_left_out(DiagnosticArray, health("idle"), 3.0)
+    assert not is_left_out(DiagnosticArray, health("idle"), 3.0 + REPEAT_PERIOD)
+    assert not is_left_out(RecorderStatus, said(1), 0.0)
+    assert is_left_out(RecorderStatus, said(99), 1.0)
+    assert not is_left_out(RecorderStatus, said(99, "other"), 1.0)
+    assert not any(is_left_out(String, b"same", 1.0) for _ in range(3))

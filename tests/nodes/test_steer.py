@@ -182,3 +182,16 @@ def test_a_slip_on_the_command_line_is_named(
     assert process.wait() == 2
     assert named in process.stderr
     assert "Traceback" not in process.stderr
+
+
+def test_the_nearest_points_of_an_empty_front_are_none() -> None:
+    assert steer._nearest([], {"f1": 1.0}) == []
+
+
+def test_a_slip_on_the_command_line_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        steer.run(["go", "-1"])
+    assert ended.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("steer go: ")
+    assert "'-1' is not an integer of at least 0" in line

@@ -103,7 +103,7 @@ class BridgeBackend(RampedBackend):
         }
         failure = self.forbidden()
         if failure is None:
-            return Health(OK, f"{len(values)} interlocks permit to move", values)
+            return Health(OK, f"interlocks that permit to move: all {len(values)}", values)
         level = ERROR if failure.code == _Result.INTERLOCK else STALE
         return Health(level, failure.message, values)
 

@@ -11,6 +11,7 @@ from mobo_tuner.core.derived import Derived
 from mobo_tuner.core.fidelity import Fidelity
 from mobo_tuner.core.problem import Constraint, Context, Limit, Objective, Problem, Variable
 from mobo_tuner.machine.description import MachineDescription
+from mobo_tuner.wording import counted
 
 _FALLBACKS = {
     "hold": "holds where it is",
@@ -83,7 +84,7 @@ def _machine(configuration: Configuration) -> list[str]:
     if machine is not None:
         return [
             f"{machine.name}, served by the node '{configuration.section}', which the run starts",
-            f"{len(machine.variables)} variables, {len(machine.diagnostics)} diagnostics",
+            f"{counted(len(machine.variables), 'variable')}, {counted(len(machine.diagnostics), 'diagnostic')}",
         ]
     if configuration.simulation and not configuration.program:
         return [
@@ -185,7 +186,7 @@ def _method(tuner: Mapping[str, Any]) -> str:
 
 def _budget(tuner: Mapping[str, Any]) -> str:
     initial = tuner["initial_evaluations"]
-    return f"{tuner['evaluations']} evaluations" + (
+    return counted(tuner["evaluations"], "evaluation") + (
         f", the first {initial} spread over the bounds" if initial else ""
     )
 
@@ -197,7 +198,7 @@ def _stops(tuner: Mapping[str, Any]) -> list[str]:
     if tuner["stop_after"]:
         lines.append(f"after {_duration(tuner['stop_after'])}")
     if tuner["stop_without_gain"]:
-        lines.append(f"after {tuner['stop_without_gain']} evaluations without a gain")
+        lines.append(f"after {counted(tuner['stop_without_gain'], 'evaluation')} without a gain")
     if tuner["stop_below_expected_gain"]:
         lines.append(
             f"when less than {tuner['stop_below_expected_gain']:g} % is expected of the next evaluation"
@@ -225,7 +226,7 @@ def _time(configuration: Configuration) -> str:
     whole, limit = configuration.tuner["evaluations"] * each, configuration.tuner["stop_after"]
     if 0.0 < limit < whole:
         return (
-            f"{_duration(limit)}, enough for about {limit // each:.0f} evaluations of "
+            f"{_duration(limit)}, enough for about {counted(limit // each, 'evaluation')} of "
             f"{_duration(each)} less the time of the suggestions"
         )
     return (

@@ -71,4 +71,4 @@ def _variables_health(backend: MachineBackend) -> Health:
             unknown.append(readback.name)
     if unknown:
         return Health(STALE, f"the readback is unknown of {', '.join(unknown)}", values)
-    return Health(OK, f"{len(values)} readbacks are known", values)
+    return Health(OK, f"readbacks known: {len(values)}", values)

@@ -25,6 +25,7 @@ from mobo_tuner.ros.diagnostics import Diagnostics
 from mobo_tuner.ros.lifecycle import refuse_unknown_transitions
 from mobo_tuner.ros.parameters import declare, refuse_undeclared, take_given
 from mobo_tuner.ros.process import Program, StartError, exit_process, run_node
+from mobo_tuner.wording import counted
 
 NOT_CONFIGURED = "the machine's node is not configured"
 NOT_ACTIVE = "the machine's node is not active"
@@ -99,8 +100,8 @@ class MachineNode(LifecycleNode):
         """Allow motion."""
         self.backend.inactive = ""
         self.get_logger().info(
-            f"{self.backend.name}: ready with {len(self.backend.variables)} variables and "
-            f"{len(self.backend.diagnostics)} diagnostics; it serves {self.server.names}"
+            f"{self.backend.name}: ready with {counted(len(self.backend.variables), 'variable')} and "
+            f"{counted(len(self.backend.diagnostics), 'diagnostic')}; it serves {self.server.names}"
         )
         return super().on_activate(state)
 

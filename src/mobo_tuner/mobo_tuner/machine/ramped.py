@@ -213,7 +213,7 @@ class RampedBackend(MachineBackend):
         unknown = [f"the readback of {name} is not known: {p}" for name, p in problems.items() if p]
         if unknown:
             return Health(STALE, unknown[0], values)
-        return Health(OK, f"all {len(values)} readbacks are known", values)
+        return Health(OK, f"readbacks known: all {len(values)}", values)
 
     # ------------------------------------------------------------------ what subclasses use
 

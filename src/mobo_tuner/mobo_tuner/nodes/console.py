@@ -20,6 +20,7 @@ from mobo_tuner.ros.parameters import declare, refuse_undeclared, take_given
 from mobo_tuner.ros.process import Program, exit_process, run_node
 from mobo_tuner.ros.waiting import until
 from mobo_tuner.runs.run_id import check_run_id, new_run_id
+from mobo_tuner.wording import counted
 
 RECORDED_TOPICS = ("problem", "run_records", "evaluation", "status", "pareto_front")
 POLL_PERIOD = 0.05  # [s]
@@ -166,7 +167,7 @@ class Console:
             TunerError: If it ended with an error.
         """
         reached = (
-            f"{result.evaluations} evaluations, hypervolume {result.front.hypervolume:.6g}, "
+            f"{counted(result.evaluations, 'evaluation')}, hypervolume {result.front.hypervolume:.6g}, "
             f"{len(result.front.points)} on the Pareto front"
         )
         self._view.front(result.front)

@@ -1,7 +1,8 @@
 """The recorder: it writes every topic of the run's ROS domain into a rosbag2 folder.
 
 Hidden topics (those of actions and service events) are omitted, as by `ros2 bag record --all`: the
-topics of the nodes contain the whole run, with one `Evaluation` per evaluation.
+topics of the nodes contain the whole run, with one `Evaluation` per evaluation. Health and the recorder's
+status, which come every second, are written when their level or sentence changes, and every `REPEAT_PERIOD` seconds.
 """
 
 from __future__ import annotations
@@ -14,9 +15,11 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.duration import Duration
 from rclpy.executors import Executor
 from rclpy.node import Node
+from rclpy.serialization import deserialize_message
 from rclpy.task import Future
 from rclpy.timer import Timer
 from std_msgs.msg import Header
@@ -30,9 +33,13 @@ from mobo_tuner.ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from mobo_tuner.ros.parameters import declare, refuse_undeclared, take_given
 from mobo_tuner.ros.process import Program, StartError, exit_process, run_node
 from mobo_tuner.ros.waiting import STEADY_CLOCK
+from mobo_tuner.wording import counted
 
 FLUSH_PERIOD = 0.25  # [s] of messages that are lost at most if the process is killed
 STATUS_PERIOD = 1.0  # [s]
+REPEAT_PERIOD = (
+    10.0  # [s] after which a state that is still the same is written again, with its figures
+)
 SCARCE_SPACE = 1e9  # [bytes] left on the disk below which a person is warned
 QUIET_TIME = 0.2  # [s] without a message after which the queues count as empty
 DRAIN_TIMEOUT = 1.0  # [s]
@@ -41,6 +48,39 @@ FAREWELL_TIMEOUT = 0.3  # [s] for the last status to arrive
 PROGRAM = Program(
     "recorder", "Records every topic of the ROS domain into a rosbag2 folder.", RECORDER
 )
+
+
+class Repetitions:
+    """Finds the messages that say again what was written already, but for their stamps and figures."""
+
+    def __init__(self) -> None:
+        self._written: dict[object, tuple[object, float]] = {}  # what a sender said, and when [s]
+
+    def contain(self, kind: object, data: bytes, now: float) -> bool:
+        """Return whether a serialised message may be left out of the bag.
+
+        Args:
+            kind: Type of the message; only health and the status of a recorder ever may be left out.
+            data: Serialised message.
+            now: Time of a steady clock [s].
+        """
+        sender: object
+        content: object
+        if kind is DiagnosticArray:
+            health = deserialize_message(data, DiagnosticArray)
+            sender = tuple(part.name for part in health.status)
+            content = [(part.level, part.message) for part in health.status]
+        elif kind is RecorderStatus:
+            status = deserialize_message(data, RecorderStatus)
+            sender = status.path
+            content = (status.recording, list(status.topics), status.message)
+        else:
+            return False
+        before = self._written.get(sender)
+        if before is not None and before[0] == content and now - before[1] < REPEAT_PERIOD:
+            return True
+        self._written[sender] = (content, now)
+        return False
 
 
 class Recorder:
@@ -62,6 +102,7 @@ class Recorder:
         self._failure = ""
         self._last_timestamp = 0
         self._topics: set[str] = set()
+        self._repetitions = Repetitions()
         self._discovery = TopicDiscovery(self._node)
         self._publisher = interfaces.RECORDER_STATUS.publisher(self._node)
         self._every(float(parameters["discovery_period"]), self._discover)
@@ -102,7 +143,7 @@ class Recorder:
         if self._discovery.refused:
             topic, reason = next(iter(self._discovery.refused.items()))
             return Health(WARN, f"the topic {topic} is not recorded: {reason}", values)
-        return Health(OK, f"{len(self._topics)} topics are recorded", values)
+        return Health(OK, f"topics recorded: {len(self._topics)}", values)
 
     async def stop(self) -> None:
         """Record all messages published until now, then close the bag."""
@@ -138,11 +179,11 @@ class Recorder:
         except OSError as error:
             self._fail(error)
             return
-        topic.subscribe(self._node, partial(self._write, recorded))
+        topic.subscribe(self._node, partial(self._write, recorded, topic.kind))
         self._topics.add(topic.name)
 
-    def _write(self, topic: Any, data: bytes, info: dict[str, int]) -> None:
-        if not self._recording:
+    def _write(self, topic: Any, kind: type, data: bytes, info: dict[str, int]) -> None:
+        if not self._recording or self._repetitions.contain(kind, data, time.monotonic()):
             return
         # The bag needs ordered timestamps, but the messages of several topics arrive interleaved.
         self._last_timestamp = max(self._last_timestamp, info["received_timestamp"])
@@ -165,7 +206,7 @@ class Recorder:
         self._recording = False
         self._failure = f"the bag cannot be written: {error.strerror or error}"
         self._node.get_logger().error(
-            f"{self._failure}; recording stops after {self._bag.message_count} messages"
+            f"{self._failure}; recording stops after {counted(self._bag.message_count, 'message')}"
         )
         with contextlib.suppress(OSError):
             self._bag.abort()
@@ -182,7 +223,7 @@ class Recorder:
         self._recording = False
         self._failure = "the recorder was stopped"
         self._node.get_logger().info(
-            f"recorded {self._bag.message_count} messages of {len(self._topics)} topics"
+            f"recorded {counted(self._bag.message_count, 'message')} of {counted(len(self._topics), 'topic')}"
         )
 
     def _publish_status(self) -> None:
@@ -190,7 +231,7 @@ class Recorder:
             RecorderStatus(
                 header=Header(stamp=self._node.get_clock().now().to_msg()),
                 recording=self._recording,
-                path=str(self._bag.path),
+                path=str(self._bag.path.absolute()),
                 topics=sorted(self._topics) if self._recording else [],
                 messages=self._bag.message_count,
                 message=self._failure,

@@ -10,7 +10,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, TextIO
+from typing import Any, NoReturn, TextIO
 
 from mobo_tuner.client import (
     Arrival,
@@ -24,6 +24,7 @@ from mobo_tuner.client import (
 )
 from mobo_tuner.displays.console_view import make_view
 from mobo_tuner.displays.progress import contexts_text
+from mobo_tuner.wording import counted
 
 POLL_PERIOD = 0.1  # [s]
 CANCEL_TIMEOUT = 900.0  # [s] for the machine to be back where `on_abort` sends it
@@ -167,7 +168,7 @@ def go(client: TunerClient, options: argparse.Namespace) -> str:
     """Go to a point of a run; Ctrl-C stops the machine where it is."""
 
     def show(movement: Movement) -> None:
-        held = f", {movement.evaluations} evaluations" if movement.evaluations else ""
+        held = f", {counted(movement.evaluations, 'evaluation')}" if movement.evaluations else ""
         _say(f"{movement.phase}{held}", sys.stderr)
 
     arrival = client.go(
@@ -185,7 +186,7 @@ def go(client: TunerClient, options: argparse.Namespace) -> str:
         f"{name} = {_shown(value, _choices(client, name))} {arrival.units.get(name, '')}".rstrip()
         for name, value in arrival.readbacks.items()
     )
-    held = f", held with {arrival.evaluations} evaluations" if options.hold else ""
+    held = f", held with {counted(arrival.evaluations, 'evaluation')}" if options.hold else ""
     index = arrival.point.index
     place = "the state before" if index is None else f"point {index} of"
     text = f"at {place} run {arrival.run_id}{held}: {where}"
@@ -210,11 +211,17 @@ VERBS: dict[str, Act] = {
 }
 
 
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors are one sentence, without the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the error and end the process with status 2."""
+        self.exit(2, f"{self.prog}: {message}; see --help\n")
+
+
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    parser = argparse.ArgumentParser(
-        prog="steer", description=(__doc__ or "").splitlines()[0], allow_abbrev=False
-    )
+    parser = Parser(prog="steer", description=(__doc__ or "").splitlines()[0], allow_abbrev=False)
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     parsers = {}
     for name, act in VERBS.items():
@@ -374,10 +381,11 @@ def _once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
 
 def _counts(now: Status) -> str:
     """Return the counts of a run as text."""
-    done = f"{now.evaluations} of {now.budget}" if now.budget else f"{now.evaluations}"
+    done = counted(now.budget or now.evaluations, "evaluation")
+    if now.budget:
+        done = f"{now.evaluations} of {done}"
     return (
-        f"{done} evaluations, {now.feasible} feasible, "
-        f"{now.failed} failed, hypervolume {now.hypervolume:.6g}"
+        f"{done}, {now.feasible} feasible, {now.failed} failed, hypervolume {now.hypervolume:.6g}"
     )
 
 
@@ -453,6 +461,8 @@ def _shown(value: float, choices: Mapping[str, float], digits: int = 6) -> str:
 
 def _nearest(points: Sequence[Point], near: Mapping[str, float]) -> list[Point]:
     """Return points from the nearest to the farthest; each name counts by its span over the front."""
+    if not points:
+        return []
     columns = {name: [_values(point)[name] for point in points] for name in near}
     spans = {name: (max(column) - min(column)) or 1.0 for name, column in columns.items()}
 
@@ -460,7 +470,7 @@ def _nearest(points: Sequence[Point], near: Mapping[str, float]) -> list[Point]:
         values = _values(point)
         return math.hypot(*((values[name] - near[name]) / spans[name] for name in near))
 
-    return sorted(points, key=distance) if points else []
+    return sorted(points, key=distance)
 
 
 def _table(
@@ -480,8 +490,10 @@ def _table(
         top: Number of points to list; 0 = all.
     """
     shown = listed[: top or None]
-    count = len(listed) if len(shown) == len(listed) else f"{len(shown)} of {len(listed)}"
-    lines = [f"{count} points of run {front.run_id}, {title}; hypervolume {front.hypervolume:.6g}"]
+    count = counted(len(listed), "point")
+    if len(shown) < len(listed):
+        count = f"{len(shown)} of {count}"
+    lines = [f"{count} of run {front.run_id}, {title}; hypervolume {front.hypervolume:.6g}"]
     names = list(dict.fromkeys([*front.reference_point, *further]))
     rows = [["index", *(f"{name} {front.units.get(name, '')}".strip() for name in names)]]
     for point in shown:

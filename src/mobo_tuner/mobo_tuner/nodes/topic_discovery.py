@@ -51,6 +51,11 @@ class FoundTopic(NamedTuple):
         """Whether all publishers keep messages for late subscribers."""
         return all(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in self.offers)
 
+    @property
+    def kind(self) -> type:
+        """Class of its messages."""
+        return _message_class(self.type_name)
+
     def subscribe(self, node: Node, take: OnRaw) -> None:
         """Subscribe to the serialized messages.
 
@@ -58,8 +63,7 @@ class FoundTopic(NamedTuple):
             node: Node that subscribes.
             take: Function that takes each message.
         """
-        kind = _message_class(self.type_name)
-        node.create_subscription(kind, self.name, take, self.qos, raw=True)
+        node.create_subscription(self.kind, self.name, take, self.qos, raw=True)
 
 
 class TopicDiscovery:

@@ -32,6 +32,7 @@ from mobo_tuner.tuner.services.tune import TuneServer
 from mobo_tuner.tuner.services.working_points import WorkingPoints
 from mobo_tuner.tuner.session import Session
 from mobo_tuner.tuner.topics import Motion, TunerTopics
+from mobo_tuner.wording import counted
 
 STOPPED = "the tuner was asked to stop"
 
@@ -91,8 +92,10 @@ class Tuner:
         """Return what the tuner serves, for people."""
         folder = parameters.run_dir("")
         kept = f"runs are kept in {folder.absolute()}" if folder else "runs are not kept"
+        objectives = counted(len(problem.objectives), "objective")
+        variables = counted(len(problem.variables), "variable")
         return (
-            f"{len(problem.objectives)} objectives of {len(problem.variables)} variables can be tuned "
+            f"{objectives} of {variables} can be tuned "
             f"by the action {self.node.resolve_topic_name('tune')}; {kept}"
         )
 

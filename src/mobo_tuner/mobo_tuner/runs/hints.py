@@ -15,6 +15,7 @@ from itertools import pairwise, takewhile
 from mobo_tuner.core.problem import Problem, Variable
 from mobo_tuner.runs.history import CANCELED
 from mobo_tuner.runs.records import EvaluationRecord
+from mobo_tuner.wording import counted
 
 MOST = 3  # hints at a time
 PERIOD = 10  # evaluations until a hint's figures are brought up to date
@@ -196,7 +197,7 @@ def _at_bounds(
             there = sum(abs(setpoint[v.name] - bound) <= margin for setpoint in front)
             if farther and there >= max(2.0, MOSTLY * len(front)):
                 hints.append(
-                    f"{there} of {len(front)} points of the front are at the {key} of {v.name}, "
+                    f"{there} of {counted(len(front), 'point')} of the front are at the {key} of {v.name}, "
                     f"{bound:g} {v.unit}".rstrip()
                     + f": better ones may lie beyond it; widen "
                     f"variables.{v.name}.{key} if you may"

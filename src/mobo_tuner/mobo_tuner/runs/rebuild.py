@@ -38,6 +38,7 @@ from mobo_tuner.runs.records import (
     seconds,
     to_json,
 )
+from mobo_tuner.wording import counted
 
 OUTLINE, PROBLEM, EVALUATION, STATUS = TYPES = (
     "mobo_msgs_py/msg/RunRecords",
@@ -275,7 +276,9 @@ def _summary(records: Sequence[JsonRecord]) -> str:
     for record in records:
         if record["type"] in counts:
             counts[record["type"]] += 1
-    text = f"{counts['evaluation']} evaluations and {counts['change']} changes"
+    text = (
+        f"{counted(counts['evaluation'], 'evaluation')} and {counted(counts['change'], 'change')}"
+    )
     text += f" of run '{records[0]['run_id']}'"
     unknown = "the settings of the tuner are unknown, because the bag has no run_records"
     return text if records[0].get("settings") else f"{text}; {unknown}"

@@ -22,6 +22,7 @@ from mobo_tuner.runs.prior_model import load_prior_model
 from mobo_tuner.runs.rebuild import run_of_bag
 from mobo_tuner.runs.records import EvaluationRecord, ForgetRecord
 from mobo_tuner.runs.saved_state import SavedState
+from mobo_tuner.wording import counted
 
 
 def restore(
@@ -160,7 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     compared = [c for c in comparisons if c.source != "operator"]
     different = [c for c in compared if c.differs]
     print(
-        f"{len(comparisons)} evaluations, {len(compared)} suggestions computed again, "
+        f"{counted(len(comparisons), 'evaluation')}, {counted(len(compared), 'suggestion')} computed again, "
         f"{len(compared) - len(different)} identical bit for bit"
     )
     if gap:

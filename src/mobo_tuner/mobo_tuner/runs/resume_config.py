@@ -24,6 +24,7 @@ from mobo_tuner.parameter_spec import specs_of
 from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import read_journal
 from mobo_tuner.runs.optimizer_settings import kept_settings
+from mobo_tuner.wording import counted
 
 CONFIG_FILE = "config.yaml"
 _OF_ONE_RUN = ("runs_dir", "journal", "budget", "hypervolume_goal", "holds")  # recorded settings
@@ -46,7 +47,7 @@ def resume_config(run_dir: Path, config: Path | None, evaluations: int | None) -
     history.require_settings()
     told = len(history.evaluations)
     if (evaluations or history.budget) <= told:
-        has = f"the run '{history.run_id}' has {told} evaluations already"
+        has = f"the run '{history.run_id}' has {counted(told, 'evaluation')} already"
         raise ProblemError(
             f"evaluations is {evaluations}, and {has}; more are allowed"
             if evaluations

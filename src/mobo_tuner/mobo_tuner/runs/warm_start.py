@@ -17,6 +17,7 @@ from mobo_tuner.runs.history import told_of
 from mobo_tuner.runs.old_data import OldData, OldEvaluation
 from mobo_tuner.runs.optimizer_settings import make_optimizer
 from mobo_tuner.runs.records import EvaluationRecord, Record, StartRecord
+from mobo_tuner.wording import counted
 
 
 @dataclass
@@ -198,7 +199,7 @@ def table(taken: Sequence[Taken]) -> list[str]:
     lines = []
     for source in taken:
         total = source.count + source.left.total()
-        lines.append(f"{source.source}: {source.count} of {total} evaluations taken")
+        lines.append(f"{source.source}: {source.count} of {counted(total, 'evaluation')} taken")
         lines += [f"  {count} left: {reason}" for reason, count in source.left.most_common()]
         lines += [f"  {note}" for note in source.notes]
     return lines

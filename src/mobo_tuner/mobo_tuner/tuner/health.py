@@ -18,6 +18,7 @@ from mobo_tuner.runs.records import StopReason
 from mobo_tuner.tuner.context import TunerContext
 from mobo_tuner.tuner.recording import Recording
 from mobo_tuner.tuner.session import Session
+from mobo_tuner.wording import counted
 
 _STATES = {
     getattr(TunerStatus, name): name.lower()
@@ -57,7 +58,12 @@ class TunerHealth:
             paths = " and ".join(
                 node.resolve_topic_name(t) for t, others in found.items() if others
             )
-            rival = f"another tuner, {', '.join(names)}, also publishes {paths}; stop one of them"
+            who = (
+                f"another tuner, {names[0]}, also publishes"
+                if len(names) == 1
+                else f"other tuners, {', '.join(names)}, also publish"
+            )
+            rival = f"{who} {paths}; let only one of them run"
         before, self._rival = self._rival, rival
         if rival and rival != before:
             self._context.log.warning(rival)
@@ -89,7 +95,7 @@ class TunerHealth:
         if status.state == TunerStatus.WAITING and status.message:
             return Health(WARN, status.message, values)
         if run is not None and run.consecutive_failures:
-            text = f"the last {run.consecutive_failures} evaluations failed"
+            text = f"the last {counted(run.consecutive_failures, 'evaluation')} failed"
             return Health(WARN, text, values)
         return Health(OK, status.message or _STATES[status.state], values)
 

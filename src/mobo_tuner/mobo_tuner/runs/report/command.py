@@ -26,6 +26,7 @@ from mobo_tuner.runs.recorded_run import RecordedRun
 from mobo_tuner.runs.report.figures import front_figure, hypervolume_figure, write_figure
 from mobo_tuner.runs.report.page import render_page
 from mobo_tuner.runs.report.summary import choose_points, summarize
+from mobo_tuner.wording import counted
 
 SHOWN_POINTS = 12  # of a larger front
 
@@ -52,7 +53,11 @@ def print_report(run: RecordedRun, console: Console) -> None:
     console.print(_headline(run))
     front = run.front
     if not len(front):
-        console.print("The Pareto front is empty: nothing feasible is better than the reference.")
+        complete = np.isfinite(run.objectives).all(axis=1) & run.valid
+        why = "nothing feasible is better than the reference"
+        if not complete.any():
+            why = f"no evaluation {'measured all objectives' if len(complete) else 'was made'}"
+        console.print(f"The Pareto front is empty: {why}.")
         return
     balanced, extremes = choose_points(run, SHOWN_POINTS)
     console.print(_front_table(run, balanced, extremes))
@@ -94,11 +99,11 @@ def _headline(run: RecordedRun) -> Text:
     text = Text.assemble(
         ("run ", "dim"),
         (run.run_id, "bold"),
-        f"   {len(run.indices)} evaluations, {np.count_nonzero(run.feasible)} feasible, "
+        f"   {counted(len(run.indices), 'evaluation')}, {np.count_nonzero(run.feasible)} feasible, "
         f"{np.count_nonzero(run.failed)} failed   ({run.stop_reason})\n",
         "hypervolume ",
         (f"{run.hypervolume:.6g}", "bold green"),
-        f"   {len(run.front)} points on the Pareto front",
+        f"   {counted(len(run.front), 'point')} on the Pareto front",
     )
     if run.error_msg:
         text.append(f"\n{run.error_msg}", "red")

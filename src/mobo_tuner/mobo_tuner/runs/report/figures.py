@@ -20,6 +20,7 @@ from mobo_tuner.core.problem import Array, Objective
 from mobo_tuner.core.units import product_of_units
 from mobo_tuner.files import replace_file
 from mobo_tuner.runs.recorded_run import BoolArray, RecordedRun
+from mobo_tuner.wording import counted
 
 # Told apart by the colour-blind, too: after Okabe and Ito.
 _BLUE, _ORANGE, _RED, _GREY = "#0072B2", "#E69F00", "#D55E00", "#8C8C8C"
@@ -60,7 +61,7 @@ def hypervolume_figure(run: RecordedRun) -> Figure:
     with rc_context(_STYLE):
         figure = Figure()
         axes = figure.subplots()
-        axes.set_title(f"run {run.run_id}: {len(run.indices)} evaluations")
+        axes.set_title(f"run {run.run_id}: {counted(len(run.indices), 'evaluation')}")
         unit = product_of_units([o.unit for o in run.problem.objectives])
         axes.set_ylabel(f"hypervolume [{unit}]" if unit else "hypervolume")
         axes.set_xlabel("index of the evaluation")
@@ -160,7 +161,7 @@ def _draw_plane(axes: Axes, run: RecordedRun) -> PathCollection | None:
     signs_of_all = np.array([objective.sign for objective in run.problem.objectives])
     columns = list(conflicting_pair(run.front_objectives * signs_of_all))
     across, up = (run.problem.objectives[column] for column in columns)
-    axes.set_title(f"run {run.run_id}: {len(run.front)} points on the Pareto front")
+    axes.set_title(f"run {run.run_id}: {counted(len(run.front), 'point')} on the Pareto front")
     axes.set_xlabel(_label(across))
     axes.set_ylabel(_label(up))
     xy = run.objectives[:, columns]

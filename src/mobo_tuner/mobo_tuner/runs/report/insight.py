@@ -21,6 +21,7 @@ from mobo_tuner.core.slices import slices
 from mobo_tuner.errors import UserError
 from mobo_tuner.runs.recorded_run import RecordedRun
 from mobo_tuner.runs.report.models import ModelFacts, model_facts
+from mobo_tuner.wording import counted
 
 DIGITS = 5
 
@@ -39,7 +40,7 @@ def insight(run: RecordedRun, index: int | None = None) -> dict[str, Any]:
     index = len(evaluations) - 1 if index is None else index
     if not 0 <= index < len(evaluations):
         raise UserError(
-            f"the index is {index}; the run {run.run_id} has {len(evaluations)} evaluations"
+            f"the index is {index}; the run {run.run_id} has {counted(len(evaluations), 'evaluation')}"
         )
     setpoint = evaluations[index].setpoint
     facts = model_facts(run)

@@ -27,6 +27,7 @@ from mobo_tuner.tuner.run.attempts import PAUSE_PERIOD, Attempts
 from mobo_tuner.tuner.run.fallbacks import Fallbacks
 from mobo_tuner.tuner.run.run import Run, RunError, Suggestion
 from mobo_tuner.tuner.session import Session
+from mobo_tuner.wording import counted
 
 CHUNK = 20  # evaluations of an earlier run that are published before the next wait
 TIME_PERIOD = 1.0  # [s] between two looks at the time of a run
@@ -96,7 +97,7 @@ class RunLoop:
         finally:
             context.status.work(msg.TunerStatus.IDLE)
         context.log.info(
-            f"run '{run.run_id}': {run.index} evaluations, hypervolume "
+            f"run '{run.run_id}': {counted(run.index, 'evaluation')}, hypervolume "
             f"{run.found.hypervolume:.6g}, stopped by {ending.stop_reason}"
         )
         return ending
@@ -436,7 +437,7 @@ def judge(
         return Verdict("end", reason)
     limit = parameters.max_consecutive_failures
     if consecutive_failures >= limit:
-        return Verdict("end", f"{limit} evaluations failed in a row: {record.error_msg}")
+        return Verdict("end", f"{counted(limit, 'evaluation')} failed in a row: {record.error_msg}")
     violated = record.error_code == EvaluateSetpoint.Result.VIOLATION
     if parameters.on_failure == "pause" or (violated and parameters.pause_on_violation):
         return Verdict("pause", reason)

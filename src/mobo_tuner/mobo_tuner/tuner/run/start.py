@@ -75,6 +75,8 @@ def _read(runs_dir: str, run_id: str) -> Earlier:
     folder = Path(runs_dir) / check_run_id(run_id)
     if folder.resolve().parent != Path(runs_dir).resolve():
         raise ValueError(f"the run '{run_id}' is a link out of '{runs_dir}'")
+    if not folder.is_dir():
+        raise ValueError(f"there is no run '{run_id}' in '{Path(runs_dir).absolute()}'")
     history = History.from_records(read_journal(folder))
     history.require_settings()
     return Earlier(history, restore(history, SavedState.read(folder)))

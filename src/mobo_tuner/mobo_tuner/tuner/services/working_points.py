@@ -169,7 +169,11 @@ class WorkingPoints:
             return replace(self._evaluated(run, index), weights=sums)
         if request.choice == GoToWorkingPoint.Goal.BY_INDEX:
             if request.index >= run.index:
-                known = f"0 to {run.index - 1} are allowed" if run.index else "there are none yet"
+                known = (
+                    f"0 to {run.index - 1} are allowed"
+                    if run.index
+                    else "it has none; name an earlier run (--run ID)"
+                )
                 raise ValueError(
                     f"index is {request.index}, of an evaluation of run '{run.run_id}'; {known}"
                 )
