@@ -122,9 +122,7 @@ def test_two_tuners_tell_of_each_other(
         lambda: all(DiagnosticStatus.WARN in levels(f"{n}: run") for n in ("tuner", "B/tuner")),
         "the warning on /diagnostics",
     )
-    spin_until(
-        lambda: "other tuners" in statuses.messages[-1].message, "the warning in the status"
-    )
+    spin_until(lambda: "other tuners" in statuses.messages[-1].message, "the warning in the status")
     start_node("-m", "awa_sim_node.node", *TOY)
     spin_until(
         lambda: (
