@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+import time
 
 from nicegui import ui
 
 from mobo_tuner.displays.progress import contexts_text
-from mobo_tuner.page.board import Level
+from mobo_tuner.page.board import Level, Motion
 from mobo_tuner.page.viewer import Table, Viewer, card
 from mobo_tuner.page.words import SYMBOLS, duration, place, set_to, state_of
 
+READBACK_PERIOD = (
+    0.5  # [s] at least between two readbacks on the screen: who reads them needs no more
+)
 LEAST_TRAVEL = 0.003  # share of a variable's range below which it counts as staying where it is
 _LEVEL_SYMBOLS: dict[Level, str] = {"ok": "✓", "warning": "!", "error": "✕", "stale": "?"}
 _LEVEL_WORDS: dict[Level, str] = {
@@ -76,20 +80,25 @@ class MotionPanel:
 
     def __init__(self, viewer: Viewer) -> None:
         self._viewer = viewer
+        self._shown: tuple[Motion, bool] | None = None
+        self._refreshed = 0.0  # by `time.monotonic` [s]
         with card("motion"):
             self._title = ui.label().classes("card-title").props('role="heading" aria-level="2"')
             self._table = Table(("name", "way", "here", "share"), "motion-rows")
             self._none = ui.label("The tuner has not moved the machine yet.").classes("quiet")
 
     def refresh(self) -> None:
-        """Show the motion as it is now."""
-        board = self._viewer.board
-        motion, run = board.motion, board.run
+        """Show the motion as it is now: another one at once, its readbacks less often."""
+        board, now = self._viewer.board, time.monotonic()
+        motion, run, state = board.motion, board.run, board.status.state
+        active = state == "moving" or (board.is_running and state not in ("paused", "waiting"))
+        is_shown = self._shown is not None and self._shown[0] is motion and self._shown[1] == active
+        if is_shown and now - self._refreshed < READBACK_PERIOD:
+            return
+        self._shown, self._refreshed = (motion, active), now
         problem = run.problem if run is not None else None
         units = problem.units if problem is not None else {}
         ranges = {v.name: v.maximum - v.minimum for v in problem.variables} if problem else {}
-        state = board.status.state
-        active = state == "moving" or (board.is_running and state not in ("paused", "waiting"))
         self._title.set_text("What moves" if active else "Last move")
         rows = []
         for name, target in motion.target.items():
