@@ -89,13 +89,13 @@ class MotionPanel:
 
     def refresh(self) -> None:
         """Show the motion as it is now: another one at once, its readbacks less often."""
-        board, now = self._viewer.board, time.monotonic()
+        board, moment = self._viewer.board, time.monotonic()
         motion, run, state = board.motion, board.run, board.status.state
         active = state == "moving" or (board.is_running and state not in ("paused", "waiting"))
         is_shown = self._shown is not None and self._shown[0] is motion and self._shown[1] == active
-        if is_shown and now - self._refreshed < READBACK_PERIOD:
+        if is_shown and moment - self._refreshed < READBACK_PERIOD:
             return
-        self._shown, self._refreshed = (motion, active), now
+        self._shown, self._refreshed = (motion, active), moment
         problem = run.problem if run is not None else None
         units = problem.units if problem is not None else {}
         ranges = {v.name: v.maximum - v.minimum for v in problem.variables} if problem else {}
