@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 from unittest.mock import patch
 
 import numpy as np
+import yaml
 
 from mobo_tuner.offline import campaign
 from mobo_tuner.offline.simulation import Outcome
@@ -140,7 +141,9 @@ def main() -> None:
     timing = patch.object(campaign, "Campaign", TimedCampaign)  # which `run` makes
     with timing, tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "run"
-        begun = campaign.start(_CONTENT, folder, given)
+        config = Path(scratch) / "campaign.yaml"
+        config.write_text(yaml.safe_dump(_CONTENT))
+        begun = campaign.start(config, folder, given)
         wall, cpu = time.perf_counter(), time.process_time()
         campaign.run(begun, ActedSimulation(options.seconds))
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu

@@ -77,7 +77,9 @@ def _carry_out(
         raise
     except UsageError as error:
         reason = str(error)
-        if not folder.has_journal:  # refused before anything was simulated
+        if folder.has_journal:
+            project.ask("mobo_tuner.runs.report", folder.path, show=True)
+        else:  # refused before anything was simulated
             shutil.rmtree(folder.path)
         raise
     finally:

@@ -57,6 +57,13 @@ def test_a_campaign_that_is_refused_leaves_no_folder(project: FakeProject) -> No
     assert not (project.root / "runs" / "one").exists()
 
 
+def test_a_campaign_that_failed_has_a_report_and_the_reason(project: FakeProject) -> None:
+    status, output, errors = project.run("campaign", "--run-id", "one", campaign="fail")
+    assert (status, errors) == (2, "mobo.py: the klystron tripped\n")
+    assert output.splitlines()[-2:] == ["the front", str(project.root / "runs" / "one")]
+    assert facts(project, "one")["state"] == "failed"
+
+
 def test_a_signal_ends_a_campaign_and_keeps_it(project: FakeProject) -> None:
     process = project.start("campaign", "--run-id", "one", campaign="wait")
     project.wait_for_event("campaign ready")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -17,6 +18,7 @@ import yaml
 from mobo_tuner.errors import UserError
 from mobo_tuner.files import load_yaml
 from mobo_tuner.offline.campaign import resume, start
+from mobo_tuner.offline.simulation import command_of
 from mobo_tuner.runs.journal import FILE_NAME, Journal, read_journal
 from mobo_tuner.runs.recorded_run import RecordedRun
 from tests.support.paths import ROOT
@@ -29,6 +31,17 @@ if x["x1"] > 1.6:
     sys.exit("x1 is too large")
 time.sleep(PAUSE)
 print(json.dumps({"f1": math.hypot(x["x1"] - 1, x["x2"] - 1), "f2": math.hypot(x["x1"] + 1, x["x2"] + 1)}))
+"""
+
+FUNCTION = """
+from optics import distance
+
+def beam(point):
+    x1, x2 = point["x1"], point["x2"]
+    print("tracking")
+    if x1 > 1.6:
+        return {"f1": None, "f2": float("nan")}
+    return {"f1": distance(x1 - 1, x2 - 1), "f2": distance(x1 + 1, x2 + 1)}
 """
 
 
@@ -64,7 +77,9 @@ class Bench:
             self.folder / name,
             *arguments,
         ]
-        process = subprocess.Popen([str(w) for w in words], stderr=subprocess.PIPE, text=True)
+        process = subprocess.Popen(
+            [str(w) for w in words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
         self.started.append(process)
         return process
 
@@ -141,6 +156,44 @@ def test_the_shipped_file_with_fidelities_is_a_campaign(bench: Bench) -> None:
     assert [e.setpoint["mesh"] for e in begun.optimizer.dataset.evaluations] == meshes
 
 
+def test_a_function_beside_the_file_simulates(bench: Bench) -> None:
+    (bench.folder / "optics.py").write_text("from math import hypot as distance\n")
+    (bench.folder / "beam.py").write_text(FUNCTION)
+    config = bench.config(command="", function="beam.py:beam", workers=2)
+    assert bench.run("one", "--config", config, "--evaluations", 5) == (0, "")
+    evaluations = bench.evaluations("one")
+    assert [e["valid"] for e in evaluations] == [e["setpoint"]["x1"] <= 1.6 for e in evaluations]
+    assert sum(e["valid"] for e in evaluations) > 1
+    for evaluation in evaluations:
+        (value, _), x = evaluation["diagnostics"]["f1"], evaluation["setpoint"]
+        assert value == (math.hypot(x["x1"] - 1.0, x["x2"] - 1.0) if x["x1"] <= 1.6 else None)
+
+
+def test_files_beside_the_parameter_file_are_found_by_a_command(bench: Bench) -> None:
+    path = bench.config()
+    (bench.folder / "sub").mkdir()
+    (bench.folder / "sub" / "deck").touch()
+    (bench.folder / "evaluate").touch()
+    section = {"function": ""}
+    command = "python program.py evaluate sub/deck --in=program.py --no=other.py"
+    found = command_of({**section, "command": command}, path.parent)
+    program = bench.folder / "program.py"
+    deck = bench.folder / "sub" / "deck"
+    assert found == f"python {program} evaluate {deck} --in={program} --no=other.py"
+    assert command_of({**section, "command": ""}, path.parent) == ""
+
+
+def test_failures_from_the_start_are_told_and_end_in_an_error(bench: Bench) -> None:
+    command = "python -c 'import sys; sys.exit(\"no licence\")'"
+    words = ("--config", bench.config(command=command), "--evaluations", "8")
+    process = bench.start("one", *words)
+    output, errors = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 1
+    assert output.count("no licence") == 1
+    assert errors.startswith("the campaign failed: all of its 8 evaluations failed")
+    assert bench.journal("one")[-1]["stop_reason"] == "error"
+
+
 def test_in_a_job_of_slurm_it_starts_no_step_of_its_own(
     bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -195,6 +248,12 @@ def test_its_simulations_end_with_it_when_it_is_killed(bench: Bench) -> None:
     [
         ({"command": ""}, r"campaign\.command"),
         ({"workers": 0}, r"campaign\.workers is 0"),
+        ({"function": "a.py:f"}, r"campaign\.command and campaign\.function"),
+        ({"command": "python absent.py"}, r"campaign\.command .*'absent\.py'"),
+        ({"command": "", "function": "absent.py:f"}, r"campaign\.function .*'absent\.py'"),
+        ({"command": "", "function": "program.py"}, r"campaign\.function .*FILE\.py:FUNCTION"),
+        ({"command": "", "function": "no.such:f"}, r"campaign\.function .*no\.such"),
+        ({"command": "", "function": "math:no"}, r"campaign\.function .*no function 'no'"),
         ({"time_out": 3.0}, "time_out"),
     ],
 )
@@ -202,13 +261,13 @@ def test_a_section_that_is_wrong_is_refused_before_anything_is_simulated(
     bench: Bench, campaign: dict[str, Any], words: str
 ) -> None:
     with pytest.raises(UserError, match=words):
-        start(load_yaml(bench.config(**campaign)), bench.folder / "one", {})
+        start(bench.config(**campaign), bench.folder / "one", {})
     assert not (bench.folder / "one").exists()
 
 
 def test_a_run_that_was_no_campaign_is_not_resumed_as_one(bench: Bench) -> None:
     path = bench.config()
-    optimizer, log, _ = start(load_yaml(path), bench.folder / "one", {})
+    optimizer, log, _ = start(path, bench.folder / "one", {})
     log.close()
     [record] = bench.journal("one")
     del record["settings"]["campaign"]

@@ -98,7 +98,7 @@ if name == "campaign":
     note("ready")
     if behaviour == "wait":
         time.sleep(60)
-    sys.exit(0)
+    sys.exit("the klystron tripped" if behaviour == "fail" else 0)
 if behaviour == "family":
     child = [sys.executable, "-c", "import time; time.sleep(60)"]
     note(f"started {subprocess.Popen(child, start_new_session=True).pid}")

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -25,14 +27,15 @@ from libensemble.specs import AllocSpecs, ExitCriteria, GenSpecs, LibeSpecs, Sim
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.errors import UserError
+from mobo_tuner.errors import ParameterError, UserError
 from mobo_tuner.files import load_yaml
 from mobo_tuner.offline.generator import ID, MoboGenerator
 from mobo_tuner.offline.hosts import Hosts
 from mobo_tuner.offline.parameters import CAMPAIGN
-from mobo_tuner.offline.simulation import Outcome, Simulation
+from mobo_tuner.offline.simulation import Outcome, Simulation, command_of
 from mobo_tuner.parameter_file import check_section, node_sections
-from mobo_tuner.runs.history import INVALID_MEASUREMENT, History
+from mobo_tuner.runs.hints import why_barren
+from mobo_tuner.runs.history import INVALID_MEASUREMENT, MACHINE_ERROR, History
 from mobo_tuner.runs.journal import read_journal
 from mobo_tuner.runs.optimizer_settings import make_optimizer
 from mobo_tuner.runs.prior_model import load_prior_model
@@ -52,6 +55,8 @@ from mobo_tuner.tuner.parameters import check_tuner
 
 SECONDS, ERROR = "_seconds", "_error"  # fields of libEnsemble's history beside those of the problem
 _MOST_ERROR = 300  # characters
+_IMPORT = 300.0  # [s] for the import of a function
+_TELLING = 5  # failures without a success, after which they are told
 # Least time between two looks at the simulations [s], and the same for each of many of them.
 _POLL, _POLL_OF_WORKER = 0.005, 5e-5
 
@@ -71,11 +76,16 @@ class Campaign(MoboGenerator):
         optimizer: Optimiser, which may know earlier evaluations.
         log: Journal of the run.
         budget: Number of evaluations at the end, for the progress that is shown.
+
+    Attributes:
+        optimizer: Optimiser.
+        records: Evaluations of this campaign itself.
     """
 
     def __init__(self, optimizer: Optimizer, log: RunLog, budget: int) -> None:
         super().__init__(optimizer.given_problem)
         self.optimizer = optimizer
+        self.records: list[EvaluationRecord] = []
         self._log = log
         self._asked: dict[int, _Asked] = {}
         self._lock = threading.Lock()  # held while a result is learned and recorded
@@ -110,10 +120,17 @@ class Campaign(MoboGenerator):
         for result in results:
             with self._lock:
                 super().ingest([result])
-                self._log.append(self._record(result))
+                self.records.append(self._record(result))
+                self._log.append(self.records[-1])
             self._failed += self.optimizer.dataset.evaluations[-1].failed
             words = f"hypervolume {self.optimizer.hypervolume:.5g}, {self._failed} failed"
             self._progress.update(self._task, advance=1, description=words)
+            if self._failed == len(self.optimizer.dataset) == _TELLING:
+                reason = str(result[ERROR]) or "no output was a number"
+                text = (
+                    f"all of the first {_TELLING} simulations failed, the last one because {reason}"
+                )
+                self._progress.console.print(text, markup=False, highlight=False)
         with self._lock:
             self._log.save(self.optimizer)
 
@@ -165,11 +182,11 @@ class Begun(NamedTuple):
     settings: Mapping[str, Any]
 
 
-def start(content: Mapping[Any, Any], folder: Path, given: Mapping[str, Any]) -> Begun:
+def start(config: Path, folder: Path, given: Mapping[str, Any]) -> Begun:
     """Begin a new campaign.
 
     Args:
-        content: Content of a parameter file.
+        config: Parameter file.
         folder: Folder of the run.
         given: Values in place of the file's: `workers`, `evaluations`, `seed`; and `listen`, with which no
             command is needed.
@@ -178,8 +195,10 @@ def start(content: Mapping[Any, Any], folder: Path, given: Mapping[str, Any]) ->
         UserError: If something is wrong.
         OSError: If the journal cannot be written.
     """
+    content = load_yaml(config)
     sections = node_sections(content)
     campaign = check_section("campaign", sections.get("campaign", {}), CAMPAIGN)
+    campaign["command"] = command_of(campaign, config.parent)
     tuner = check_tuner(sections.get("tuner", {}) | {n: given[n] for n in _OF_TUNER & {*given}})
     if "workers" in given:
         campaign["workers"] = given["workers"]
@@ -187,9 +206,39 @@ def start(content: Mapping[Any, Any], folder: Path, given: Mapping[str, Any]) ->
     settings = {**tuner, "budget": tuner["evaluations"], "campaign": campaign}
     optimizer = make_optimizer(problem, settings, load_prior_model(problem, settings))
     if campaign["command"] or "listen" not in given:  # else the workers know how to evaluate
-        Simulation(str(campaign["command"]), 1.0, folder)  # checks the command
+        _check_command(campaign, folder, here="listen" not in given)
     record = StartRecord(folder.name, time.time(), problem, settings)
     return Begun(optimizer, RunLog(folder, record), settings)
+
+
+def _check_command(campaign: Mapping[str, Any], folder: Path, *, here: bool) -> None:
+    """Check that the command of a campaign can be run, and a function be imported.
+
+    Args:
+        campaign: Parameters of the campaign.
+        folder: Folder of the run.
+        here: Whether this host simulates; another one may have other packages.
+
+    Raises:
+        ParameterError: If not.
+    """
+    command, function = campaign["command"], campaign["function"]
+    if not command:
+        raise ParameterError(
+            "campaign.command and campaign.function are empty; one of them says how a point is simulated"
+        )
+    Simulation(command, campaign["timeout"], folder)
+    if function and here:
+        words = [sys.executable, *shlex.split(command)[1:], "--check"]
+        try:  # in a folder without packages, as that of a simulation
+            done = subprocess.run(
+                words, cwd=os.sep, capture_output=True, text=True, timeout=_IMPORT, check=False
+            )
+            reason = done.stderr.strip().rpartition("\n")[2] if done.returncode else ""
+        except subprocess.TimeoutExpired:
+            reason = f"its import takes more than {_IMPORT:g} s"
+        if reason:
+            raise ParameterError(f"campaign.function is {function!r:.80}: {reason}")
 
 
 def resume(earlier: Path, folder: Path, given: Mapping[str, Any]) -> Begun:
@@ -244,6 +293,9 @@ def run(begun: Begun, simulation: Simulator) -> None:
     Args:
         begun: What is known, and where it is recorded.
         simulation: What simulates; it is stopped at the end.
+
+    Raises:
+        UserError: If no simulation was of use.
     """
     optimizer, log, settings = begun
     campaign, budget = settings["campaign"], settings["budget"]
@@ -292,8 +344,14 @@ def run(begun: Begun, simulation: Simulator) -> None:
             ensemble.run()
         finally:
             simulation.stop()
-        log.append(EndRecord(time.time(), StopReason.BUDGET))
+        reason = why_barren(generator.records, optimizer.problem.required_diagnostics)
+        if reason:
+            log.append(EndRecord(time.time(), StopReason.ERROR, MACHINE_ERROR, reason))
+        else:
+            log.append(EndRecord(time.time(), StopReason.BUDGET))
         log.close()
+    if reason:
+        raise UserError(f"the campaign failed: {reason}")
 
 
 def _allocate(*state: Any) -> Any:
@@ -369,7 +427,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.resume:
             begun = resume(options.resume, options.folder, given)
         else:
-            begun = start(load_yaml(options.config), options.folder, given)
+            begun = start(options.config, options.folder, given)
         run(begun, _simulator(begun, options.folder, options.listen))
     except (UserError, OSError) as error:
         print(error, file=sys.stderr)

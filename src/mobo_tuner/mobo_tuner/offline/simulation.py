@@ -16,7 +16,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mobo_tuner.errors import ParameterError
 from mobo_tuner.offline.watchdog import GRACE, send
@@ -174,6 +174,61 @@ class Simulation:
             reason = words[-1][:300] if words else f"ended with status {process.returncode}"
             raise ValueError(f"the simulation failed: {reason}")
         return (folder / "output").read_bytes()[-_MOST_OUTPUT:].decode(errors="replace")
+
+
+def command_of(campaign: Mapping[str, Any], folder: Path) -> str:
+    """Return the command of a campaign, in which files have their whole names; empty if there is none.
+
+    Args:
+        campaign: Section of the parameter file.
+        folder: Folder of the parameter file, in which files are looked for.
+
+    Raises:
+        ParameterError: If both a command and a function are given, or one names a Python file that does not exist.
+    """
+    command, function = str(campaign["command"]), str(campaign["function"])
+    if command and function:
+        raise ParameterError(
+            "campaign.command and campaign.function are both given; one of them is allowed"
+        )
+    if function:
+        place, colon, name = function.rpartition(":")
+        if not (place and colon and name.isidentifier()):
+            raise ParameterError(
+                f"campaign.function is {function!r:.80}; FILE.py:FUNCTION and PACKAGE:FUNCTION are allowed"
+            )
+        if place.endswith(".py"):
+            place = _whole_name(place, folder, f"campaign.function is {function!r:.80}")
+        return shlex.join(("python", "-m", "mobo_tuner.offline.function", f"{place}:{name}"))
+    try:
+        words = shlex.split(command)
+    except ValueError as error:
+        raise ParameterError(f"campaign.command is {command!r:.80}: {error}") from None
+    if len(words) > 1 and Path(words[0]).name.startswith("python") and words[1].endswith(".py"):
+        words[1] = _whole_name(words[1], folder, f"campaign.command is {command!r:.80}")
+    return shlex.join(_located(word, folder) for word in words)
+
+
+def _whole_name(name: str, folder: Path, what: str) -> str:
+    """Return the whole name of a Python file.
+
+    Raises:
+        ParameterError: If there is no such file.
+    """
+    if not (folder / name).is_file():
+        raise ParameterError(f"{what}, and there is no file '{name}' in '{folder.resolve()}'")
+    return str((folder / name).resolve())
+
+
+def _located(word: str, folder: Path) -> str:
+    """Return a word of a command, such as `deck.in` or `--deck=deck.in`; a file of the folder in its whole name."""
+    start, equals, name = word.rpartition("=")
+    is_name = "." in name or "/" in name  # else it may be any other word
+    return (
+        f"{start}{equals}{(folder / name).resolve()}"
+        if is_name and (folder / name).is_file()
+        else word
+    )
 
 
 def _search_path() -> str:

@@ -203,3 +203,28 @@ def _at_bounds(
                     f"variables.{v.name}.{key} if you may"
                 )
     return hints
+
+
+def why_barren(records: Sequence[EvaluationRecord], required: Sequence[str]) -> str:
+    """Return why evaluations are of no use; empty if one is, or there are none.
+
+    Args:
+        records: Evaluations.
+        required: Diagnostics of the objectives and constraints.
+    """
+    if not records or any(record.feasible for record in records):
+        return ""
+    if all(record.failed for record in records):
+        last = records[-1].error_msg
+        if len(records) == 1:
+            return f"its only evaluation failed: {last}"
+        return f"all of its {len(records)} evaluations failed, the last one because {last}"
+    unknown = (math.nan, math.nan)
+    missing = [
+        name
+        for name in required
+        if not any(math.isfinite(r.diagnostics.get(name, unknown)[0]) for r in records)
+    ]
+    if not missing:
+        return ""
+    return f"in {counted(len(records), 'evaluation')} it never measured {' and '.join(missing)}"

@@ -34,6 +34,9 @@ SETPOINT, READBACK = "setpoint", "readback"
 MODEL, INPUTS, OUTPUTS = PRIOR = "prior_mean.model", "prior_mean.inputs", "prior_mean.outputs"
 """Settings of the tuner that say which model predicts the machine."""
 
+MACHINE_ERROR = 4
+"""Error code of `Tune.Result`: evaluations failed."""
+
 INVALID_MEASUREMENT = 5
 """Error code of `EvaluateSetpoint.Result`: a diagnostic could not be measured."""
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -20,6 +18,7 @@ from mobo_tuner.core.prior_mean import PriorMeans, PriorModel
 from mobo_tuner.core.problem import Array
 from mobo_tuner.core.settings import method_of
 from mobo_tuner.errors import UserError
+from mobo_tuner.python_functions import load_function
 from mobo_tuner.runs.history import INPUTS, MODEL, OUTPUTS, History, told_of
 from mobo_tuner.runs.journal import FILE_NAME, read_journal
 from mobo_tuner.runs.records import EvaluationRecord, ForgetRecord
@@ -69,7 +68,7 @@ def _load(name: str, problem: Problem, settings: Mapping[str, Any]) -> PriorMode
     place, _, function = name.rpartition(":")
     path = Path(name)
     if place and not path.exists():
-        return FunctionModel(_function(place, function), outputs, inputs)
+        return FunctionModel(load_function(place, function), outputs, inputs)
     if not path.exists():
         raise ProblemError(
             "there is no such file or folder; a file of torch, the folder of a run, PACKAGE:FUNCTION and "
@@ -144,39 +143,6 @@ class _Inputs:
             name: np.full(n, self.constants[name]) if name in self.constants else columns[name]
             for name in self.names
         }
-
-
-def _function(place: str, name: str) -> Function:
-    """Return a function of a package or of a Python file.
-
-    Raises:
-        ProblemError: If it cannot be imported.
-    """
-    try:
-        module = (
-            _module_of_file(Path(place))
-            if place.endswith(".py")
-            else importlib.import_module(place)
-        )
-    except Exception as error:
-        raise ProblemError(
-            f"'{place}' cannot be imported: {type(error).__name__}: {error}"
-        ) from error
-    function = getattr(module, name, None)
-    if not callable(function):
-        raise ProblemError(f"'{place}' has no function '{name}'")
-    found: Function = function
-    return found
-
-
-def _module_of_file(path: Path) -> ModuleType:
-    """Return the module in a Python file."""
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None or not path.is_file():
-        raise ImportError("there is no such file")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from mobo_msgs_py import msg
 from mobo_msgs_py.action import EvaluateSetpoint
 from mobo_msgs_py.srv import DescribeMachine
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.runs.hints import Hints, run_hints
+from mobo_tuner.runs.hints import Hints, run_hints, why_barren
 from mobo_tuner.runs.history import SETPOINT, place, told, told_of
 from mobo_tuner.runs.records import ChangeRecord, EvaluationRecord, ForgetRecord, Source
 from mobo_tuner.runs.replay import withdraw
@@ -30,7 +30,6 @@ from mobo_tuner.tuner.messages import (
 )
 from mobo_tuner.tuner.run.steering import Change, Steering
 from mobo_tuner.tuner.run.stopping import Progress
-from mobo_tuner.wording import counted
 
 
 class RunError(Exception):
@@ -217,22 +216,7 @@ class Run:
         """Reason why its own evaluations are of no use; empty if one is, or none was made or all were withdrawn."""
         withdrawn = {index for index, name in self.found.withdrawn if name is None}
         own = [r for _, r in self.records[self.inherited :] if r.index not in withdrawn]
-        if not own or any(record.feasible for record in own):
-            return ""
-        if all(record.failed for record in own):
-            last = own[-1].error_msg
-            if len(own) == 1:
-                return f"its only evaluation failed: {last}"
-            return f"all of its {len(own)} evaluations failed, the last one because {last}"
-        unknown = (math.nan, math.nan)
-        missing = [
-            name
-            for name in self.problem.required_diagnostics
-            if not any(math.isfinite(r.diagnostics.get(name, unknown)[0]) for r in own)
-        ]
-        if not missing:
-            return ""
-        return f"in {counted(len(own), 'evaluation')} it never measured {' and '.join(missing)}"
+        return why_barren(own, self.problem.required_diagnostics)
 
     def stop(self, reason: str) -> None:
         """Ask the run to stop; the first reason counts."""
