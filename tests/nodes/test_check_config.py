@@ -64,6 +64,17 @@ def test_every_shipped_file_is_good_and_chooses_its_machine() -> None:
         assert bool(configuration.simulation) == (name in ("campaign.yaml", "fidelity.yaml"))
 
 
+def test_a_function_of_a_campaign_is_a_simulation(tmp_path: Path) -> None:
+    content = load_yaml(CONFIG / "fidelity.yaml")
+    name = next(name for name in content if name.endswith("campaign"))
+    content[name]["ros__parameters"] |= {"command": "", "function": "beam.py:simulate"}
+    path = written(content, tmp_path / "beam.yaml")
+    with pytest.raises(UserError, match=r"campaign\.function .*no file 'beam\.py'"):
+        check(path)
+    (tmp_path / "beam.py").touch()
+    assert check(path).simulation == "beam.py:simulate"
+
+
 @pytest.mark.parametrize(
     ("section", "path", "value", "sentence"),
     [

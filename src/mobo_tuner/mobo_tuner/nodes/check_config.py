@@ -30,6 +30,7 @@ from mobo_tuner.files import load_yaml
 from mobo_tuner.machine.description import MachineDescription
 from mobo_tuner.nodes.parameters import CONSOLE, LIVE_SERVER, PAGE, RECORDER
 from mobo_tuner.offline.parameters import CAMPAIGN
+from mobo_tuner.offline.simulation import command_of
 from mobo_tuner.parameter_file import check_section, node_sections
 from mobo_tuner.parameter_spec import ParameterSpec
 from mobo_tuner.runs.history import MODEL
@@ -98,7 +99,9 @@ def check(
                 if v.words
             },
         ).check(problem)
-    simulation = str(sections.get("campaign", {}).get("command", ""))
+    campaign = check_section("campaign", sections.get("campaign", {}), CAMPAIGN)
+    command_of(campaign, Path(path).parent)  # checks the names of files
+    simulation = str(campaign["function"] or campaign["command"])
     if problem.fidelity and (section or program or not simulation):
         raise ParameterError(f"'fidelity' is given, {ONE_FIDELITY}")
     return Configuration(str(path), problem, tuner, section, machine, program, simulation)
