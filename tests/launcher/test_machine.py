@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
 
+from launcher.environment import Environment
 from launcher.errors import UsageError
 from launcher.machine import MACHINE_NODES, Machine, shared_domain, split_command
+from launcher.processes import Processes
+from launcher.programs import Project
 
 FILE = Path("/runs/mine/config.yaml")
 
@@ -68,3 +72,14 @@ def test_a_domain_that_is_not_allowed_is_refused(
     monkeypatch.setenv("ROS_DOMAIN_ID", value)
     with pytest.raises(UsageError, match="ROS_DOMAIN_ID"):
         shared_domain(None, None)
+
+
+def test_nobody_waits_for_the_answer_of_a_machine_that_has_ended(tmp_path: Path) -> None:
+    environment = Environment(tmp_path, ())
+    environment.python = Path(sys.executable)
+    with Processes() as processes:
+        machine = processes.start(
+            [sys.executable, "-c", "raise SystemExit(3)"], environment={}, cwd=tmp_path
+        )
+        with pytest.raises(UsageError, match="the machine's program ended with status 3"):
+            Project(environment, processes).ask("http.server", 0, machine=machine)
