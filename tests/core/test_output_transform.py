@@ -125,7 +125,7 @@ def test_a_model_stays_plain_without_a_heavy_tail_or_a_limit() -> None:
 
 def test_told_noise_counts_in_the_units_of_the_readings() -> None:
     model, x = fitted(stddev=0.2), np.random.default_rng(1).uniform(-1.0, 1.0, (24, 2))
-    if not model.model.startswith("data signed log"):
+    if model.model != "data signed log":
         pytest.fail(model.model)
     far, near = int(cliff(x).argmax()), int(np.abs(cliff(x)).argmin())
     for row in (far, near):

@@ -10,7 +10,6 @@ from operator import mul
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.distance import cdist
 
 from mobo_tuner.core.acquisition import (
     ACQUISITION_FUNCTIONS,
@@ -96,8 +95,6 @@ class CandidateSearch:
         unconfirmed = self._unconfirmed()
         if unconfirmed is not None:
             return unconfirmed
-        if self._settings.training != "adam" and self._models.should_repeat(self._data):
-            return self._repetition()
         acquisition = self.acquisition_function(tails=False)
         if acquisition is None:
             return self._explored(rng)
@@ -210,18 +207,6 @@ class CandidateSearch:
             return True
         later = set(np.flatnonzero(self._data.valid[looked[-1] + 1 :]) + looked[-1] + 1)
         return suspected.issuperset(looked) and bool(later - suspected)
-
-    def _repetition(self) -> Array:
-        """Return the set-point of the front ``(d,)`` that is farthest from all others; one of all if none is on it.
-
-        Whatever there is of luck in its reading, no other reading shows it.
-        """
-        data, rows = self._data, self._archive.belief.front_rows()
-        if len(rows) == 0:
-            rows = np.flatnonzero(data.valid)
-        distances = cdist(data.inputs[rows], data.inputs)
-        distances[np.arange(len(rows)), rows] = np.inf
-        return np.asarray(data.targets[rows[distances.min(axis=1).argmax()]])
 
     def _nearer_limits(self) -> BoolArray:
         """Return which evaluations have a suspected reading that lacks less of a constraint than believed ``(n,)``."""

@@ -64,10 +64,6 @@ class _State(NamedTuple):
     x: FloatArray
 
 
-_ROUGH = "matern52"  # kernel that gives way to a smoother one where there is noise
-_SMOOTH = " rbf"  # end of the name of a model with the smoother kernel
-
-
 class GaussianProcess:
     """One output, in its own units, as a Gaussian process over inputs normalised to [-1, 1].
 
@@ -160,64 +156,42 @@ class GaussianProcess:
         """
         d = None if self._state is None else self._d
         inputs, outputs, noise = _checked_data(x, y, stddev, d)
+        seen = self.seen(inputs)
+        kernel = self.settings.make_kernel(seen.shape[1], self.contexts)
         generator = np.random.default_rng(0) if rng is None else rng
         starts = self.settings.restarts if restarts is None else restarts
         part = slice(None, None, -(-len(outputs) // (most_trained or len(outputs))))
-        scalings = self._choice.allowed(inputs, outputs)
-        noisy_by = noisy or bool(noise.any())
-        smoother = noisy_by and self._may_be_smoother
-        ways = len(scalings) + smoother
-        begin = time.monotonic()
-
-        def trained(name: str, scaling: OutputScaling, way: int) -> _State:
-            kernel = self._kernel(name, inputs)
-            parameters = train(
-                self.settings,
-                kernel,
-                scaling.scale,
-                self.seen(inputs)[part],
-                scaling.standardise(inputs, outputs)[part],
-                self._known_noise(scaling, outputs, noise)[part],
-                self._trained.get(name),
-                generator,
-                starts,
-                begin + seconds * (way + 1) / ways,
-                noisy,
-            )
-            self._trained[name] = parameters
-            model = _Model(name, scaling, parameters)
-            return self._condition(kernel, model, inputs, outputs, noise)
-
+        states = []
         with single_blas_thread():
-            states = [trained(*scaling, way) for way, scaling in enumerate(scalings)]
-            scores = []
-            for state in states if len(states) > 1 else ():
-                self._state = state
-                density = self.leave_one_out().log_density.sum()
-                name, scaling, _ = state.model
-                scores.append(self._choice.score(name, scaling, density, noisy_by))
-            best = states[int(np.argmax(scores))] if scores else states[0]
-            if smoother:
-                smooth = trained(best.model.name + _SMOOTH, best.model.scaling, ways - 1)
-                if (
-                    smooth.posterior.log_marginal_likelihood
-                    > best.posterior.log_marginal_likelihood
-                ):
-                    best = smooth
-        self._state = best
+            scalings = self._choice.allowed(inputs, outputs)
+            begin = time.monotonic()
+            for i, (name, scaling) in enumerate(scalings):
+                parameters = train(
+                    self.settings,
+                    kernel,
+                    scaling.scale,
+                    seen[part],
+                    scaling.standardise(inputs, outputs)[part],
+                    self._known_noise(scaling, outputs, noise)[part],
+                    self._trained.get(name),
+                    generator,
+                    starts,
+                    begin + seconds * (i + 1) / len(scalings),
+                    noisy,
+                )
+                self._trained[name] = parameters
+                model = _Model(name, scaling, parameters)
+                states.append(self._condition(kernel, model, inputs, outputs, noise))
+        scores = []
+        for state in states if len(states) > 1 else ():
+            self._state = state
+            density = self.leave_one_out().log_density.sum()
+            scaling = state.model.scaling
+            scores.append(
+                self._choice.score(state.model.name, scaling, density, noisy or bool(noise.any()))
+            )
+        self._state = states[int(np.argmax(scores))] if scores else states[0]
         return self
-
-    @property
-    def _may_be_smoother(self) -> bool:
-        """Whether the settings leave open how smooth the function is: the kernel is the default, and trained."""
-        settings = self.settings
-        is_held = settings.length_scales is not None or settings.variance is not None
-        return settings.kernel == _ROUGH and settings.training == "lbfgs" and not is_held
-
-    def _kernel(self, model: str, x: FloatArray) -> Kernel:
-        """Return the kernel of a model by its name for inputs `(n, d)`."""
-        name = "rbf" if model.endswith(_SMOOTH) else ""
-        return self.settings.make_kernel(self.seen(x).shape[1], self.contexts, name)
 
     def copy(self) -> GaussianProcess:
         """Return a model with the same observations; what it learns later is its own."""
@@ -365,14 +339,11 @@ class GaussianProcess:
 
     def noise_evidence(self) -> NoiseEvidence:
         """Return the evidence that the readings are noisy, see `evidence.noise_evidence`."""
-        model, posterior, y, stddev, x = self._fitted
+        model, posterior, y, stddev, _ = self._fitted
         known = self._known_noise(model.scaling, y, stddev)
-        kernel = self._kernel(
-            "", x
-        )  # the smoother one, which is that of noisy readings, would keep them so
         with single_blas_thread():
             return noise_evidence(
-                self.settings, kernel, posterior.x, posterior.z, known, model.parameters
+                self.settings, posterior.kernel, posterior.x, posterior.z, known, model.parameters
             )
 
     def drift_evidence(self, times: FloatArray, timed: bool) -> float:
@@ -439,7 +410,7 @@ class GaussianProcess:
     def model(self) -> str:
         """Prior mean in use: data, reference, constant, function or scaled function.
 
-        With " log" or " signed log" where that is modelled, and " rbf" where that kernel is more likely.
+        With " log" or " signed log" where that is modelled.
         """
         return self._fitted.model.name
 
@@ -573,7 +544,7 @@ class GaussianProcess:
         if not fitted["d"] > contexts >= 0:
             raise ValueError(f"the state has {fitted['d']} inputs, of which nobody sets {contexts}")
         inputs, outputs, noise = _checked_data(x, y, stddev, fitted["d"])
-        kernel = restored._kernel(fitted["model"], inputs)
+        kernel = settings.make_kernel(restored.seen(inputs).shape[1], contexts)
         restored._trained = {
             name: _hyperparameters(values, kernel) for name, values in state["trained"].items()
         }
@@ -582,7 +553,7 @@ class GaussianProcess:
             raise ValueError(
                 f"x must have at least the {m} observations of the state, got {len(outputs)}"
             )
-        scaling = restored._choice.restored(fitted["model"].removesuffix(_SMOOTH), fitted)
+        scaling = restored._choice.restored(fitted["model"], fitted)
         model = _Model(fitted["model"], scaling, _hyperparameters(fitted["parameters"], kernel))
         with single_blas_thread():
             restored._state = restored._condition(kernel, model, inputs[:m], outputs[:m], noise[:m])

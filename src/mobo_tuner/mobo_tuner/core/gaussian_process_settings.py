@@ -29,11 +29,7 @@ class GaussianProcessSettings:
         ParameterError: If a choice is not allowed, or two do not go together.
     """
 
-    kernel: str = parameter(
-        "matern52",
-        "Kernel of the models; matern52 gives way to rbf where readings are noisy and more likely so.",
-        choices=KERNELS,
-    )
+    kernel: str = parameter("matern52", "Kernel of the models.", choices=KERNELS)
     mean: str | float = parameter(
         "auto",
         "Prior mean: the mean of the data, the reference point, whichever of the two predicts "
@@ -120,15 +116,9 @@ class GaussianProcessSettings:
                     "matrix are allowed"
                 )
 
-    def make_kernel(self, d: int, contexts: int = 0, name: str = "") -> Kernel:
-        """Return the kernel for d inputs, of which nobody sets the last `contexts`.
-
-        Args:
-            d: Number of inputs.
-            contexts: Number of the last ones that nobody sets.
-            name: Name of a kernel in place of that of the settings.
-        """
-        kernel = KERNELS.find(name or self.kernel)
+    def make_kernel(self, d: int, contexts: int = 0) -> Kernel:
+        """Return the kernel for d inputs, of which nobody sets the last `contexts`."""
+        kernel = KERNELS.find(self.kernel)
         return Contextual(kernel(d - contexts), contexts) if contexts else kernel(d)
 
     def held_shape(self, kernel: Kernel) -> FloatArray | None:
