@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 import yaml
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rclpy.node import Node
@@ -390,15 +390,18 @@ def test_the_bag_path_is_needed(start_node: NodeStarter) -> None:
 
 
 def test_a_state_that_stays_the_same_is_written_now_and_then() -> None:
-    def health(message: str, name: str = "tuner: run") -> bytes:
-        part = DiagnosticStatus(level=DiagnosticStatus.OK, name=name, message=message)
+    def health(message: str, name: str = "tuner: run", value: int = 0) -> bytes:
+        values = [KeyValue(key="pressure", value=str(value))]
+        part = DiagnosticStatus(
+            level=DiagnosticStatus.OK, name=name, message=message, values=values
+        )
         return bytes(serialize_message(DiagnosticArray(status=[part])))
 
     def said(messages: int, path: str = "bag") -> bytes:
         status = RecorderStatus(recording=True, path=path, messages=messages)
         return bytes(serialize_message(status))
 
-    repetitions = Repetitions()
+    repetitions = Repetitions("lab/recorder")
 
     def is_left_out(kind: type, data: bytes, now: float) -> bool:
         return repetitions.contain(kind, data, now)
@@ -409,6 +412,9 @@ def test_a_state_that_stays_the_same_is_written_now_and_then() -> None:
     assert not is_left_out(DiagnosticArray, health("paused"), 2.0)
     assert not is_left_out(DiagnosticArray, health("idle"), 3.0)
     assert not is_left_out(DiagnosticArray, health("idle"), 3.0 + REPEAT_PERIOD)
+    assert not is_left_out(DiagnosticArray, health("idle", value=1), 4.0 + REPEAT_PERIOD)
+    assert not is_left_out(DiagnosticArray, health("well", "lab/recorder: bag", 1), 0.0)
+    assert is_left_out(DiagnosticArray, health("well", "lab/recorder: bag", 2), 1.0)
     assert not is_left_out(RecorderStatus, said(1), 0.0)
     assert is_left_out(RecorderStatus, said(99), 1.0)
     assert not is_left_out(RecorderStatus, said(99, "other"), 1.0)

@@ -19,16 +19,14 @@ def end_quietly(scripts: Collection[str]) -> None:
     Args:
         scripts: File names of the scripts that start a program of the package; `python -m` starts one, too.
     """
-    started = (
-        Path(sys.argv[0]).name if sys.argv else ""
-    )  # "-m" while Python locates the module of `-m`
+    # It is "-m" while Python locates the module of `-m`.
+    started = Path(sys.argv[0]).name if sys.argv else ""
     if started not in ("-m", *scripts):
         return
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _end)
-    signal.pthread_sigmask(
-        signal.SIG_UNBLOCK, {signal.SIGINT}
-    )  # blocked by `mobo.py` while Python started
+    # `mobo.py` blocks it while Python starts.
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 def _end(number: int, _frame: FrameType | None) -> None:

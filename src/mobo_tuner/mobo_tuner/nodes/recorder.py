@@ -2,7 +2,7 @@
 
 Hidden topics (those of actions and service events) are omitted, as by `ros2 bag record --all`: the
 topics of the nodes contain the whole run, with one `Evaluation` per evaluation. Health and the recorder's
-status, which come every second, are written when their level or sentence changes, and every `REPEAT_PERIOD` seconds.
+status, which come every second, are written when they change, and every `REPEAT_PERIOD` seconds.
 """
 
 from __future__ import annotations
@@ -37,9 +37,7 @@ from mobo_tuner.wording import counted
 
 FLUSH_PERIOD = 0.25  # [s] of messages that are lost at most if the process is killed
 STATUS_PERIOD = 1.0  # [s]
-REPEAT_PERIOD = (
-    10.0  # [s] after which a state that is still the same is written again, with its figures
-)
+REPEAT_PERIOD = 10.0  # [s] after which a state that is still the same is written again
 SCARCE_SPACE = 1e9  # [bytes] left on the disk below which a person is warned
 QUIET_TIME = 0.2  # [s] without a message after which the queues count as empty
 DRAIN_TIMEOUT = 1.0  # [s]
@@ -51,9 +49,16 @@ PROGRAM = Program(
 
 
 class Repetitions:
-    """Finds the messages that say again what was written already, but for their stamps and figures."""
+    """Finds the messages that say again what was written already, but for their stamp.
 
-    def __init__(self) -> None:
+    In what the recorder says of itself, figures such as its count of messages do not count.
+
+    Args:
+        recorder: Full name of the recorder's node, without the first slash.
+    """
+
+    def __init__(self, recorder: str) -> None:
+        self._recorder = f"{recorder}: "
         self._written: dict[object, tuple[object, float]] = {}  # what a sender said, and when [s]
 
     def contain(self, kind: object, data: bytes, now: float) -> bool:
@@ -69,7 +74,17 @@ class Repetitions:
         if kind is DiagnosticArray:
             health = deserialize_message(data, DiagnosticArray)
             sender = tuple(part.name for part in health.status)
-            content = [(part.level, part.message) for part in health.status]
+            content = [
+                (
+                    part.level,
+                    part.message,
+                    part.hardware_id,
+                    {}
+                    if part.name.startswith(self._recorder)
+                    else {value.key: value.value for value in part.values},
+                )
+                for part in health.status
+            ]
         elif kind is RecorderStatus:
             status = deserialize_message(data, RecorderStatus)
             sender = status.path
@@ -102,7 +117,7 @@ class Recorder:
         self._failure = ""
         self._last_timestamp = 0
         self._topics: set[str] = set()
-        self._repetitions = Repetitions()
+        self._repetitions = Repetitions(self._node.get_fully_qualified_name().removeprefix("/"))
         self._discovery = TopicDiscovery(self._node)
         self._publisher = interfaces.RECORDER_STATUS.publisher(self._node)
         self._every(float(parameters["discovery_period"]), self._discover)
