@@ -31,14 +31,10 @@ class RunProgress:
         self._ranges: dict[str, tuple[float, float]] = {}
         self._started = time.monotonic()
         self._problem: Problem | None = None
-        self._best: dict[str, tuple[float, int]] = {}
 
     def set_problem(self, problem: Problem) -> None:
         """Take over what is tuned, by which all evaluations so far are judged again."""
         self._problem = problem
-        self._best.clear()
-        for evaluation in self.made:
-            self._judge(evaluation)
 
     def set_status(self, status: Status) -> None:
         """Take over what the tuner does."""
@@ -59,11 +55,17 @@ class RunProgress:
         """Take over one evaluation."""
         self.last = evaluation
         self.made.add(evaluation)
-        self._judge(evaluation)
 
     def best(self, name: str) -> tuple[float, int] | None:
         """Return the best feasible value of an objective and the index of its evaluation."""
-        return self._best.get(name)
+        values = self.made.objectives(name)
+        values = np.where(self.is_feasible & np.isfinite(values), values, math.nan)
+        if np.isnan(values).all():
+            return None
+        objectives = () if self._problem is None else self._problem.objectives
+        sign = next((o.sign for o in objectives if o.name == name), 1.0)
+        place = int(np.nanargmin(sign * values))
+        return float(values[place]), int(self.made.numbers("index")[place])
 
     @property
     def evaluations(self) -> int:
@@ -78,7 +80,7 @@ class RunProgress:
 
     def is_reached(self, name: str) -> bool:
         """Return whether the best feasible value of an objective is good enough."""
-        best = self._best.get(name)
+        best = self.best(name)
         objectives = () if self._problem is None else self._problem.objectives
         return best is not None and any(
             o.sign * best[0] <= o.sign * o.goal
@@ -113,6 +115,8 @@ class RunProgress:
     def is_feasible(self) -> Flags:
         """Which evaluations are feasible, by the problem as it is now, shape (n,)."""
         made, problem = self.made, self._problem
+        if not len(made):
+            return np.zeros(0, dtype=bool)
         if problem is None:
             return made.numbers("feasible") > 0.0
         found = made.numbers("valid") > 0.0
@@ -154,25 +158,6 @@ class RunProgress:
     def _is_current(self) -> bool:
         """Whether the status counts all evaluations that are known here."""
         return bool(self.status.run_id) and self.status.evaluations >= self.evaluations
-
-    def _judge(self, evaluation: Evaluation) -> None:
-        """Compare an evaluation with the best ones, if it is feasible."""
-        if not self._is_feasible(evaluation):
-            return
-        objectives = () if self._problem is None else self._problem.objectives
-        signs = {o.name: o.sign for o in objectives}
-        for name, value in evaluation.objectives.items():
-            best = self._best.get(name)
-            sign = signs.get(name, 1.0)
-            if best is None or sign * value < sign * best[0]:
-                self._best[name] = (value, evaluation.index)
-
-    def _is_feasible(self, evaluation: Evaluation) -> bool:
-        if self._problem is None:
-            return evaluation.feasible
-        means = {name: mean for name, (mean, _) in evaluation.diagnostics.items()}
-        measured = all(math.isfinite(value) for value in evaluation.objectives.values())
-        return evaluation.valid and measured and self._problem.is_feasible(means)
 
 
 def _median(values: Floats) -> float:

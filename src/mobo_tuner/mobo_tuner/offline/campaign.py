@@ -126,7 +126,7 @@ class Campaign(MoboGenerator):
             words = f"hypervolume {self.optimizer.hypervolume:.5g}, {self._failed} failed"
             self._progress.update(self._task, advance=1, description=words)
             if self._failed == len(self.optimizer.dataset) == _TELLING:
-                reason = str(result[ERROR]) or "no output was a number"
+                reason = self.records[-1].error_msg
                 text = (
                     f"all of the first {_TELLING} simulations failed, the last one because {reason}"
                 )

@@ -164,9 +164,7 @@ class Board:
         self.motion = Motion()
         self.version = 0
         self._heard: float | None = None  # time of the last status, by `time.monotonic` [s]
-        self._suggesting: float | None = (
-            None  # since when, by `time.monotonic` [s]; None = it is not
-        )
+        self._suggesting: float | None = None  # since when the tuner is, likewise
         self._runs: dict[str, RunBoard] = {}
         self._latest = ""  # id of the run that was heard of last
         self._parts: dict[str, tuple[float, Part]] = {}
