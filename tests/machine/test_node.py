@@ -8,14 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.node import Node
 
 from mobo_msgs_py import msg
 from mobo_msgs_py.action import ApplySetpoint, EvaluateSetpoint, Tune
+from mobo_tuner.ros.qos import STREAM
 from tests.support.processes import NodeProcess, NodeStarter
-from tests.support.tuner import GoalClient, Services, machine_client
+from tests.support.tuner import GoalClient, Listener, Services, machine_client, toy_machine
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "served_machine.py"
 RESULT = EvaluateSetpoint.Result
@@ -45,6 +47,12 @@ def start(start_node: NodeStarter, tmp_path: Path) -> Callable[..., NodeProcess]
 @pytest.fixture
 def machine(node: Node, spin_until: Spin) -> GoalClient:
     return machine_client(node, spin_until)
+
+
+def said(health: Listener) -> str:
+    """What the machine said of itself so far."""
+    parts = [status for array in health.messages for status in array.status]
+    return " ".join(status.message for status in parts if status.name.endswith(": machine"))
 
 
 def until_ready(machine: GoalClient) -> None:
@@ -103,6 +111,11 @@ def test_it_has_all_the_safety(
     result = machine.wait()
     assert result.error_code == RESULT.INTERLOCK
     assert "no_permit forbids to move" in result.error_msg
+
+    (tmp_path / "no_permit").unlink()
+    health = Listener(node, DiagnosticArray, "/diagnostics", STREAM)
+    toy_machine(node)
+    spin_until(lambda: "1 more serve /describe_machine" in said(health), "the second machine")
     assert process.stop() == 0
 
 

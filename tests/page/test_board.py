@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from mobo_msgs_py import msg
 from mobo_tuner.page.board import PATIENCE, Board, Level, Part
-from mobo_tuner.page.words import duration, measured, number, state_of
+from mobo_tuner.page.words import duration, first_words, measured, number, state_of
 from tests.support.tuner_double import make_evaluation
 
 
@@ -29,6 +29,15 @@ def board_of(*messages: tuple[str, Any], age: float = 0.0) -> Board:
 
 def status(state: int = msg.TunerStatus.EVALUATING, **fields: Any) -> tuple[str, Any]:
     return "status", msg.TunerStatus(state=state, run_id="run", **fields)
+
+
+def test_what_a_browser_shows_first_is_the_state_and_never_read_as_html() -> None:
+    message = status(message="<b>a & b</b>", evaluations=3, budget=7)
+    text = first_words(board_of(message), dark=False)
+    assert "Running" in text
+    assert "3 / 7" in text
+    assert "&lt;b&gt;a &amp; b&lt;/b&gt;" in text
+    assert "body--light" in text
 
 
 @pytest.mark.parametrize(

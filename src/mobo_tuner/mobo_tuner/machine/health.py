@@ -21,9 +21,10 @@ def machine_parts(
 ) -> Mapping[str, Callable[[], Health]]:
     """Return the parts of a machine's node: the machine, its variables and those of its backend."""
     tuners = Publishers(node, server.heartbeat_name)
+    machines = Publishers(node, server.evaluations_name)
 
     def machine() -> Health:
-        return _machine_health(node, backend, server, len(tuners.names()))
+        return _machine_health(backend, server, len(tuners.names()), len(machines.others()))
 
     def variables() -> Health:
         return _variables_health(backend)
@@ -32,9 +33,16 @@ def machine_parts(
 
 
 def _machine_health(
-    node: Node, backend: MachineBackend, server: MachineServer, tuners: int
+    backend: MachineBackend, server: MachineServer, tuners: int, rivals: int
 ) -> Health:
-    """Whether the machine may move, how its last evaluation ended, and whether it is served twice."""
+    """Return whether the machine may move, how its last evaluation ended, and whether it is served twice.
+
+    Args:
+        backend: Machine.
+        server: Its server.
+        tuners: Number of tuners that send a heartbeat to it.
+        rivals: Number of other nodes that serve a machine under the same names.
+    """
     values = {
         "evaluations": server.evaluations,
         "failed evaluations": server.failures,
@@ -46,7 +54,6 @@ def _machine_health(
         refusal = Failure(_Result.NOT_ACTIVE, backend.inactive)
     if refusal is not None and refusal.code in _LEVELS:
         return Health(_LEVELS[refusal.code], refusal.message, values)
-    rivals = node.count_services(server.describe_name) - 1
     if rivals > 0:
         text = f"{rivals} more serve {server.describe_name}; a tuner needs exactly one machine"
         return Health(WARN, text, values)

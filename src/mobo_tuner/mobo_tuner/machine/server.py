@@ -88,6 +88,11 @@ class MachineServer:
         return str(self._service.service_name)
 
     @property
+    def evaluations_name(self) -> str:
+        """Full name of the topic on which every server of `evaluate_setpoint` tells what becomes of its goals."""
+        return self._node.resolve_topic_name("evaluate_setpoint/_action/status")
+
+    @property
     def heartbeat_name(self) -> str:
         """Full name of the topic on which tuners say that they are alive."""
         return str(self._heartbeats.topic_name)

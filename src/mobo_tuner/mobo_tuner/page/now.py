@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 
 from nicegui import ui
 
@@ -12,9 +11,7 @@ from mobo_tuner.page.board import Level, Motion
 from mobo_tuner.page.viewer import Table, Viewer, card
 from mobo_tuner.page.words import SYMBOLS, duration, place, set_to, state_of
 
-READBACK_PERIOD = (
-    0.5  # [s] at least between two readbacks on the screen: who reads them needs no more
-)
+LONG_MESSAGE = 22  # letters, of which more get a line of their own where there is little room
 LEAST_TRAVEL = 0.003  # share of a variable's range below which it counts as staying where it is
 _LEVEL_SYMBOLS: dict[Level, str] = {"ok": "✓", "warning": "!", "error": "✕", "stale": "?"}
 _LEVEL_WORDS: dict[Level, str] = {
@@ -30,6 +27,7 @@ class StatePanel:
 
     def __init__(self, viewer: Viewer) -> None:
         self._viewer = viewer
+        self._shown_phase = ""
         with card("state") as self._card:
             with ui.element("div").classes("state-head"):
                 self._icon = ui.icon("stop").classes("state-icon")
@@ -62,10 +60,10 @@ class StatePanel:
         notes += [f"about {duration(left)} left"] if math.isfinite(left) else []
         self._left.set_text(", ".join(notes))
         self._bar.set_value(min(done / status.budget, 1.0) if status.budget else 0.0)
-        phase = ""
-        if status.phase and status.state in ("evaluating", "moving"):
-            phase = f"{status.phase} {status.fraction:.0%}"
-        self._phase.set_text(phase)
+        phase = status.phase if status.state in ("evaluating", "moving") else ""
+        if phase != self._shown_phase or self._viewer.is_due:
+            self._shown_phase = phase
+            self._phase.set_text(f"{phase} {status.fraction:.0%}" if phase else "")
         counts = f"{status.feasible} feasible, {status.failed} failed" if done else ""
         failure = f"last failure: {status.last_failure}" if status.last_failure else ""
         self._failure.set_text(" · ".join(filter(None, (counts, failure))))
@@ -81,7 +79,6 @@ class MotionPanel:
     def __init__(self, viewer: Viewer) -> None:
         self._viewer = viewer
         self._shown: tuple[Motion, bool] | None = None
-        self._refreshed = 0.0  # by `time.monotonic` [s]
         with card("motion"):
             self._title = ui.label().classes("card-title").props('role="heading" aria-level="2"')
             self._table = Table(("name", "way", "here", "share"), "motion-rows")
@@ -89,13 +86,13 @@ class MotionPanel:
 
     def refresh(self) -> None:
         """Show the motion as it is now: another one at once, its readbacks less often."""
-        board, moment = self._viewer.board, time.monotonic()
+        board = self._viewer.board
         motion, run, state = board.motion, board.run, board.status.state
         active = state == "moving" or (board.is_running and state not in ("paused", "waiting"))
         is_shown = self._shown is not None and self._shown[0] is motion and self._shown[1] == active
-        if is_shown and moment - self._refreshed < READBACK_PERIOD:
+        if is_shown and not self._viewer.is_due:
             return
-        self._shown, self._refreshed = (motion, active), moment
+        self._shown = motion, active
         problem = run.problem if run is not None else None
         units = problem.units if problem is not None else {}
         ranges = {v.name: v.maximum - v.minimum for v in problem.variables} if problem else {}
@@ -131,15 +128,14 @@ class HealthPanel:
 
     def refresh(self) -> None:
         """Show the health as it is now."""
-        rows, tones = [], []
+        found: list[tuple[str, Level, str]] = []
         for part in self._viewer.board.parts():
-            word = f"{_LEVEL_SYMBOLS[part.level]} {_LEVEL_WORDS[part.level]}"
-            rows.append((part.name, word, part.message))
-            tones.append(f"level-{part.level}")
+            found.append((part.name, part.level, part.message))
             if part.disk is not None:
-                level, text = part.disk
-                word = f"{_LEVEL_SYMBOLS[level]} {_LEVEL_WORDS[level]}"
-                rows.append((f"{part.name.partition(': ')[0]}: disk", word, text))
-                tones.append(f"level-{level}")
+                found.append((f"{part.name.partition(': ')[0]}: disk", *part.disk))
+        rows, tones = [], []
+        for name, level, message in found:
+            rows.append((name, f"{_LEVEL_SYMBOLS[level]} {_LEVEL_WORDS[level]}", message))
+            tones.append(f"level-{level}" + " long" * (len(message) > LONG_MESSAGE))
         self._table.show(rows, tones)
         self._none.set_visibility(not rows)

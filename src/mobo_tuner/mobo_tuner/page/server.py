@@ -13,6 +13,7 @@ from pathlib import Path
 
 import uvicorn
 from fastapi import FastAPI, Request
+from fastapi.middleware.gzip import GZipMiddleware
 from nicegui import app, ui
 from starlette.responses import PlainTextResponse, Response
 
@@ -25,12 +26,14 @@ from mobo_tuner.page.feed import Feed
 from mobo_tuner.page.history import History
 from mobo_tuner.page.insights import Insights
 from mobo_tuner.page.view import View
+from mobo_tuner.page.words import first_words
 
 REFRESH_PERIOD = 0.2  # [s]
 RECONNECT_TIMEOUT = 10.0  # [s] for a browser to come back to its page
 MAX_VIEWS = 40  # pages that are open at a time
 STOP_TIMEOUT = 0.6  # [s] for the server to end
 BACKLOG = 64
+COMPRESSION = 1  # fast: the framework's files are large, and a browser keeps them
 STATIC = Path(__file__).parent / "static"
 
 _LOG = logging.getLogger(__name__)
@@ -108,6 +111,7 @@ class PageServer:
             ui.add_head_html('<link rel="stylesheet" href="/page/page.css">')
             ui.add_head_html('<script src="/page/page.js" defer></script>')
             dark = request.query_params.get("theme") != "light"
+            ui.add_body_html(first_words(self._board, dark=dark))
             allowed = Commands(self._client, turns) if may_act else None
             view = View(self._board, allowed, self._history, self._insights, dark=dark)
             view.refresh()
@@ -126,6 +130,7 @@ class PageServer:
             reconnect_timeout=RECONNECT_TIMEOUT,
             tailwind=False,
             binding_refresh_interval=None,
+            gzip_middleware_factory=lambda app: GZipMiddleware(app, compresslevel=COMPRESSION),
             show_welcome_message=False,
         )
         return application

@@ -26,6 +26,7 @@ from mobo_tuner.page.viewer import Viewer
 from mobo_tuner.page.why import ConstraintsPanel, DiagnosticsPanel, ModelsPanel, VariablesPanel
 from mobo_tuner.page.words import duration, state_of
 
+NUMBER_PERIOD = 0.5  # [s] at least between two readbacks: who reads them needs no more
 PLOT_PERIOD = 0.8  # [s] at least between two drawings of the plots
 LONG_RUN = 1000  # evaluations of a run whose plots are drawn four times as rarely
 
@@ -53,6 +54,7 @@ class View:
         dark: bool,
     ) -> None:
         self._viewer = viewer = Viewer(board, commands, dark=dark)
+        self._counted = 0.0  # when readbacks were shown, by `time.monotonic` [s]
         self._drawn = 0.0  # when the plots were drawn, by `time.monotonic` [s]
         self._shown: tuple[object, ...] = ()
         self._title = ""
@@ -94,17 +96,17 @@ class View:
             ui.tab("models", label="Models")
             ui.tab("history", label="History")
         with ui.tab_panels(tabs, value="coordinates", animated=False, keep_alive=False) as panels:
-            with ui.tab_panel("coordinates"):
+            with panel("coordinates"):
                 coordinates = CoordinatesPanel(self._viewer)
-            with ui.tab_panel("variables"):
+            with panel("variables"):
                 variables = VariablesPanel(self._viewer)
-            with ui.tab_panel("diagnostics"):
+            with panel("diagnostics"):
                 diagnostics = DiagnosticsPanel(self._viewer)
-            with ui.tab_panel("constraints"):
+            with panel("constraints"):
                 constraints = ConstraintsPanel(self._viewer)
-            with ui.tab_panel("models"):
+            with panel("models"):
                 models = ModelsPanel(self._viewer, insights)
-            with ui.tab_panel("history"):
+            with panel("history"):
                 past = HistoryPanel(self._viewer, history)
         self._panels = panels
         self._details = {
@@ -132,6 +134,10 @@ class View:
         chosen_now = self._shown[1:] != chosen
         if board.begins_suggestion and not chosen_now:
             return
+        moment = time.monotonic()
+        self._viewer.is_due = moment - self._counted >= NUMBER_PERIOD
+        if self._viewer.is_due:
+            self._counted = moment
         self._state.refresh()
         self._motion.refresh()
         self._health.refresh()
@@ -145,9 +151,9 @@ class View:
         period = PLOT_PERIOD * (4.0 if len(run.evaluations) > LONG_RUN else 1.0)
         if shown == self._shown and self._panels.value == "models":
             self._details["models"](run)  # an answer may have come
-        if shown == self._shown or (time.monotonic() - self._drawn < period and not chosen_now):
+        if shown == self._shown or (moment - self._drawn < period and not chosen_now):
             return
-        self._shown, self._drawn = shown, time.monotonic()
+        self._shown, self._drawn = shown, moment
         for part in (self._front, self._hypervolume, self._objectives, self._points):
             part.refresh(run)
         refresh_details = self._details.get(str(self._panels.value))
@@ -176,3 +182,8 @@ class View:
         self._viewer.dark = not self._viewer.dark
         self._dark.set_value(self._viewer.dark)
         self._viewer.choices += 1
+
+
+def panel(name: str) -> ui.tab_panel:
+    """Return a panel of the details, which the keyboard can scroll."""
+    return ui.tab_panel(name).props('tabindex="0"')

@@ -28,6 +28,8 @@ class Viewer:
         brush: Intervals of objectives and variables in which points are wanted, by name.
         past: Run of the past that is shown in place of the active one; None for that.
         choices: Number of changes of what is above.
+        is_due: Whether this refresh shows numbers that change all the time, such as readbacks; they are shown more
+            rarely than what happens, and all at once, so that the browser draws seldom.
         say: Function that shows an answer of the tuner.
     """
 
@@ -40,6 +42,7 @@ class Viewer:
     brush: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     past: RunBoard | None = None
     choices: int = 0
+    is_due: bool = True
     say: Callable[[Answer], None] = field(default=lambda _: None)
 
     @property
@@ -107,7 +110,7 @@ class Table:
 
         Args:
             rows: Texts of each row.
-            tones: Class of each row.
+            tones: Classes of each row.
         """
         if [row[0] for row in rows] != list(self._rows):
             self._make([row[0] for row in rows])
@@ -116,7 +119,7 @@ class Table:
                 label.set_text(text)
         for row, tone in zip(rows, tones, strict=False):
             parent = self._rows[row[0]][0].parent_slot
-            if parent is not None and tone not in parent.parent.classes:
+            if parent is not None and parent.parent.classes != ["row-line", *tone.split()]:
                 parent.parent.classes(replace=f"row-line {tone}")
 
     def _make(self, names: Sequence[str]) -> None:

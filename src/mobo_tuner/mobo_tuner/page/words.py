@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -87,6 +88,24 @@ def state_of(board: Board) -> State:
     text = status.message or _SENTENCES.get(status.state, "")
     word, tone = _WORDS.get(status.state, ("Unknown", "wait"))
     return State(word, tone, text)
+
+
+def first_words(board: Board, *, dark: bool) -> str:
+    """Return the state in HTML, which a browser shows until it has read the framework's scripts.
+
+    Args:
+        board: What is known.
+        dark: Whether the page begins in the dark.
+    """
+    state, status = state_of(board), board.status
+    count = f"{status.evaluations} / {status.budget}" if status.budget else ""
+    theme = "dark" if dark else "light"
+    word, done, sentence = map(html.escape, (state.word, count, state.sentence))
+    return (
+        f"<script>document.body.classList.add('body--{theme}')</script>"
+        f'<div class="first-words tone-{state.tone}"><div>'
+        f"<span>{word}</span><span>{done}</span></div><p>{sentence}</p></div>"
+    )
 
 
 def number(value: float, digits: int = 5) -> str:
