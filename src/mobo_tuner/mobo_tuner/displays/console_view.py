@@ -330,10 +330,10 @@ def _figures(progress: RunProgress) -> RenderableType:
         "hypervolume ",
         (f"{progress.hypervolume:.5g}", "bold green"),
         (f"   {progress.front_size} on the front", "dim"),
-        (f"   {progress.feasible} feasible", "dim"),
+        (f"\n{progress.feasible} feasible", "dim"),
         (f"   {progress.failed} failed", failed_style),
         (
-            f"\nsuggestion {progress.last.suggest_seconds:.2f} s,"
+            f"   suggestion {progress.last.suggest_seconds:.2f} s,"
             f" median {progress.suggest_median:.2f} s",
             "dim",
         ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Awaitable, Callable
 
 from nicegui import ui
@@ -12,6 +13,7 @@ from mobo_tuner.page.viewer import Viewer, card
 from mobo_tuner.page.words import evaluations
 
 ENDS_WELL = ("budget", "hypervolume_goal", "time", "stagnation", "little_expected")
+ANSWER_TIME = 30.0  # [s] that what the tuner agreed to stays beside the buttons; a refusal stays until the next answer
 
 Request = Callable[[], Awaitable[Answer]]
 
@@ -34,6 +36,7 @@ class ActionsPanel:
                 self._go = self._dialog("Go to point…", "my_location", self.open_go)
                 self._queue = self._dialog("Queue set-point…", "playlist_add", self._open_queue)
                 self._change = self._dialog("Change…", "tune", self._open_change)
+            self._agreed_at: float | None = None  # by `time.monotonic` [s]
             self._answer = ui.label().classes("answer").props('role="status" aria-live="polite"')
             self._answer.mark("answer")
             self._question = Question(viewer, commands, self)
@@ -64,6 +67,9 @@ class ActionsPanel:
         running, moving = board.is_running and not board.is_stale, status.state == "moving"
         paused = status.state == "paused"
         self._question.refresh()
+        if self._agreed_at is not None and time.monotonic() - self._agreed_at > ANSWER_TIME:
+            self._agreed_at = None
+            self._answer.set_text("")
         past = self._viewer.past is not None
         self._pause.set_visibility(not paused)
         self._resume.set_visibility(paused)
@@ -114,6 +120,7 @@ class ActionsPanel:
         self._change_dialog.open()
 
     def _say(self, answer: Answer) -> None:
+        self._agreed_at = time.monotonic() if answer.agreed else None
         self._answer.set_text(answer.sentence)
         self._answer.classes(replace=f"answer {'agreed' if answer.agreed else 'refused'}")
 

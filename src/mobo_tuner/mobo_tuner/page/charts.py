@@ -150,7 +150,7 @@ def compared(runs: Sequence[RunBoard], colours: Colours) -> Options:
             _course(run, "hypervolume"),
             PALETTE[i % len(PALETTE)],
             width=3,
-            dashed=i >= len(PALETTE),
+            dashed=i % 2 == 1,  # a run that continues another one has its line, to begin with
         )
         for i, run in enumerate(runs)
     ]

@@ -45,6 +45,7 @@ class Dialog:
         with ui.dialog() as self._dialog, ui.element("div").classes(f"dialog {classes}"):
             self.title = ui.label(title).classes("dialog-title")
             self.title.props('role="heading" aria-level="2"')
+            self._dialog.props["aria-labelledby"] = self.title.html_id
             self.text = ui.label(text).classes("" if grave else "quiet")
             self.body = ui.element("div").classes("dialog-body")
             self._refusal = ui.label().classes("refused").props('role="alert"').mark("refusal")

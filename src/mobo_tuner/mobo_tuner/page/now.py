@@ -7,7 +7,7 @@ import math
 from nicegui import ui
 
 from mobo_tuner.displays.progress import contexts_text
-from mobo_tuner.page.board import Level, Motion
+from mobo_tuner.page.board import Level
 from mobo_tuner.page.viewer import Table, Viewer, card
 from mobo_tuner.page.words import SYMBOLS, duration, place, set_to, state_of
 
@@ -27,7 +27,6 @@ class StatePanel:
 
     def __init__(self, viewer: Viewer) -> None:
         self._viewer = viewer
-        self._shown_phase = ""
         with card("state") as self._card:
             with ui.element("div").classes("state-head"):
                 self._icon = ui.icon("stop").classes("state-icon")
@@ -54,16 +53,16 @@ class StatePanel:
         self._sentence.set_text(state.sentence)
         done = max(status.evaluations, 0)
         self._count.set_text(f"{done} / {status.budget}" if status.budget else "")
-        goes_on = board.is_running and status.state != "paused"
+        goes_on = board.is_running and status.state not in ("paused", "waiting")
         left = run.progress.seconds_left if run is not None and goes_on else math.nan
         notes = ["evaluations"] if status.budget else []
         notes += [f"about {duration(left)} left"] if math.isfinite(left) else []
         self._left.set_text(", ".join(notes))
         self._bar.set_value(min(done / status.budget, 1.0) if status.budget else 0.0)
-        phase = status.phase if status.state in ("evaluating", "moving") else ""
-        if phase != self._shown_phase or self._viewer.is_due:
-            self._shown_phase = phase
-            self._phase.set_text(f"{phase} {status.fraction:.0%}" if phase else "")
+        phase = ""
+        if status.phase and status.state in ("evaluating", "moving"):
+            phase = f"{status.phase} {status.fraction:.0%}"
+        self._phase.set_text(phase)
         counts = f"{status.feasible} feasible, {status.failed} failed" if done else ""
         failure = f"last failure: {status.last_failure}" if status.last_failure else ""
         self._failure.set_text(" · ".join(filter(None, (counts, failure))))
@@ -78,7 +77,6 @@ class MotionPanel:
 
     def __init__(self, viewer: Viewer) -> None:
         self._viewer = viewer
-        self._shown: tuple[Motion, bool] | None = None
         with card("motion"):
             self._title = ui.label().classes("card-title").props('role="heading" aria-level="2"')
             self._table = Table(("name", "way", "here", "share"), "motion-rows")
@@ -89,10 +87,6 @@ class MotionPanel:
         board = self._viewer.board
         motion, run, state = board.motion, board.run, board.status.state
         active = state == "moving" or (board.is_running and state not in ("paused", "waiting"))
-        is_shown = self._shown is not None and self._shown[0] is motion and self._shown[1] == active
-        if is_shown and not self._viewer.is_due:
-            return
-        self._shown = motion, active
         problem = run.problem if run is not None else None
         units = problem.units if problem is not None else {}
         ranges = {v.name: v.maximum - v.minimum for v in problem.variables} if problem else {}

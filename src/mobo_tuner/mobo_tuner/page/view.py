@@ -26,7 +26,7 @@ from mobo_tuner.page.viewer import Viewer
 from mobo_tuner.page.why import ConstraintsPanel, DiagnosticsPanel, ModelsPanel, VariablesPanel
 from mobo_tuner.page.words import duration, state_of
 
-NUMBER_PERIOD = 0.5  # [s] at least between two readbacks: who reads them needs no more
+PERIOD = 0.4  # [s] at least between two refreshes, each of which costs a browser much more than the server
 PLOT_PERIOD = 0.8  # [s] at least between two drawings of the plots
 LONG_RUN = 1000  # evaluations of a run whose plots are drawn four times as rarely
 
@@ -54,7 +54,8 @@ class View:
         dark: bool,
     ) -> None:
         self._viewer = viewer = Viewer(board, commands, dark=dark)
-        self._counted = 0.0  # when readbacks were shown, by `time.monotonic` [s]
+        self._refreshed = 0.0  # when anything was, by `time.monotonic` [s]
+        self._urgent: tuple[object, ...] = ()  # what is shown at once
         self._drawn = 0.0  # when the plots were drawn, by `time.monotonic` [s]
         self._shown: tuple[object, ...] = ()
         self._title = ""
@@ -127,17 +128,19 @@ class View:
     def refresh(self) -> None:
         """Show everything as it is now.
 
-        While a suggestion begins, that waits: on a computer of few cores, what browsers draw would delay it.
+        A new state, a question and what the viewer did are shown at once, and all else together, seldom: every message
+        has the browser look at the whole page. While a suggestion begins, that waits, too: on a computer of few cores,
+        what browsers draw would delay it.
         """
-        board = self._viewer.board
+        board, moment = self._viewer.board, time.monotonic()
         chosen = (self._viewer.choices, self._viewer.dark, self._panels.value)
         chosen_now = self._shown[1:] != chosen
-        if board.begins_suggestion and not chosen_now:
+        status = board.status
+        urgent = (state_of(board).word, status.run_id, status.asks, chosen)
+        is_due = moment - self._refreshed >= PERIOD and not board.begins_suggestion
+        if urgent == self._urgent and not is_due:
             return
-        moment = time.monotonic()
-        self._viewer.is_due = moment - self._counted >= NUMBER_PERIOD
-        if self._viewer.is_due:
-            self._counted = moment
+        self._urgent, self._refreshed = urgent, moment
         self._state.refresh()
         self._motion.refresh()
         self._health.refresh()

@@ -28,8 +28,6 @@ class Viewer:
         brush: Intervals of objectives and variables in which points are wanted, by name.
         past: Run of the past that is shown in place of the active one; None for that.
         choices: Number of changes of what is above.
-        is_due: Whether this refresh shows numbers that change all the time, such as readbacks; they are shown more
-            rarely than what happens, and all at once, so that the browser draws seldom.
         say: Function that shows an answer of the tuner.
     """
 
@@ -42,7 +40,6 @@ class Viewer:
     brush: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     past: RunBoard | None = None
     choices: int = 0
-    is_due: bool = True
     say: Callable[[Answer], None] = field(default=lambda _: None)
 
     @property
