@@ -120,7 +120,9 @@ class HypervolumePanel:
                 ui.label("Hypervolume").classes("card-title").props('role="heading" aria-level="2"')
                 self._value = ui.label().classes("figure")
                 self._unit = ui.label().classes("quiet")
-                self._gain = ui.label().classes("quiet grow")
+                self._gain = ui.label("It is drawn from the first evaluation on.").classes(
+                    "quiet grow"
+                )
             self.chart = ui.echart(dict(EMPTY)).classes("chart low")
             self.chart.props('role="img" aria-label="hypervolume over the evaluations"')
 
@@ -174,7 +176,9 @@ class PointsPanel:
         self._shown: list[dict[str, Any]] = []
         self._columns: list[str] = []
         with card("points", "Points of the front"):
-            self._chosen = ui.label().classes("chosen").props('aria-live="polite"')
+            self._chosen = (
+                ui.label("There is none yet.").classes("chosen").props('aria-live="polite"')
+            )
             self._table = ui.table(
                 columns=[], rows=[], row_key="#", selection="single", on_select=self._select
             )
@@ -245,7 +249,9 @@ class CoordinatesPanel:
     def __init__(self, viewer: Viewer) -> None:
         self._viewer = viewer
         with ui.element("div").classes("card-head"):
-            self._note = ui.label().classes("quiet grow").mark("brush-note")
+            self._note = (
+                ui.label("The front has no point yet.").classes("quiet grow").mark("brush-note")
+            )
             self._clear = ui.button("Show all points", on_click=self._forget, color=None)
             self._clear.props("no-caps flat")
         self._clear.set_visibility(False)
