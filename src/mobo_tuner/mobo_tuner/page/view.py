@@ -169,8 +169,8 @@ class View:
         run_id = run.run_id if run is not None else ""
         old = self._viewer.past is not None
         self._back.set_visibility(old)
-        what = "past run" if old else "run"
-        self._run_id.set_text(f"{what} {run_id}" if run_id else "no run yet")
+        past = f"past run {run_id}; state, move and health are those of now"
+        self._run_id.set_text(past if old else f"run {run_id}" if run_id else "no run yet")
         fresh = not board.is_stale
         age = "no tuner" if math.isinf(board.age) else f"stale, {duration(board.age)} old"
         self._live.set_text("● live" if fresh else f"▲ {age}")
