@@ -11,7 +11,7 @@ from mobo_tuner.page.board import Level
 from mobo_tuner.page.viewer import Table, Viewer, card
 from mobo_tuner.page.words import SYMBOLS, duration, place, set_to, state_of
 
-LONG_MESSAGE = 22  # letters, of which more get a line of their own where there is little room
+LONG_MESSAGE = 16  # letters, of which more get a line of their own where there is little room
 LEAST_TRAVEL = 0.003  # share of a variable's range below which it counts as staying where it is
 _LEVEL_SYMBOLS: dict[Level, str] = {"ok": "✓", "warning": "!", "error": "✕", "stale": "?"}
 _LEVEL_WORDS: dict[Level, str] = {
