@@ -29,8 +29,17 @@ from launcher.supervisor import EXIT_LIMIT
 
 TEST_TIMEOUT = 3600.0  # [s]
 # Three processes on two cores: tests with real nodes mostly wait. One that fails on a busy computer gets a second
-# try, and is named at the end.
-_PARALLEL_TESTS = ("-n", "3", "--dist", "loadfile", "--reruns", "1", "-rR")
+# try, and is named at the end with what went wrong.
+_PARALLEL_TESTS = (
+    "-n",
+    "3",
+    "--dist",
+    "loadfile",
+    "--reruns",
+    "1",
+    "--rerun-show-tracebacks",
+    "-rR",
+)
 
 
 def check(options: argparse.Namespace) -> None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from multiprocessing import parent_process
 from pathlib import Path
 from threading import Thread
+from typing import Protocol
 
 TIMEOUT = 20.0  # [s] for a process to end by itself
 
@@ -40,6 +41,16 @@ def exit_at_sigterm() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
 
 
+class Child(Protocol):
+    """What is used of `subprocess.Popen`, which describes it."""
+
+    pid: int
+
+    def poll(self) -> int | None: ...
+    def wait(self, timeout: float) -> int: ...
+    def send_signal(self, sig: int) -> None: ...
+
+
 @dataclass
 class NodeProcess:
     """A node in a process of its own, whose output goes to files.
@@ -50,7 +61,7 @@ class NodeProcess:
         stderr_path: File of its standard error; may be the same.
     """
 
-    popen: subprocess.Popen[bytes]
+    popen: Child
     stdout_path: Path
     stderr_path: Path
 
@@ -131,6 +142,7 @@ class NodeProcess:
         """End the process and everything it started, at once."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.popen.pid, signal.SIGKILL)
+        self.popen.send_signal(signal.SIGKILL)  # it may not have its own group yet
         self.popen.wait(10.0)
 
 

@@ -18,6 +18,7 @@ from launcher import watchdog
 from launcher.ros_domain import RosDomain
 from tests.support.processes import (
     TIMEOUT,
+    NodeForker,
     NodeProcess,
     NodeStarter,
     end_with_this_process,
@@ -32,6 +33,7 @@ with warnings.catch_warnings():
 
 def pytest_configure(config: pytest.Config) -> None:
     """Let no process outlive the tests, however they end."""
+    config.add_cleanup(NodeForker.server.close)
     process = end_with_this_process()
     if process is None:
         return
@@ -100,7 +102,7 @@ def spin_until(
 def start_node(ros_domain: int, tmp_path: Path) -> Iterator[NodeStarter]:
     """Start ``python ARGUMENTS...`` in the test's domain; whatever still runs is killed after it."""
     del ros_domain  # has set the environment
-    starter = NodeStarter(tmp_path)
+    starter = NodeForker(tmp_path)
     yield starter
     for process in starter.processes:
         process.kill()

@@ -76,7 +76,9 @@ def test_a_run_is_steered(shell: Shell) -> None:
         "set", "objectives.f1.truncation=[0, 5.5]", "objectives.f2.truncation=[0,6]"
     )
     assert "variables.x1.min" in shell.refused("set", "variables.x1.max=-9")
-    assert "'variables.y.max'" in shell.refused("set", "variables.y.max=1")
+    meant = "'variables.y.max'; did you mean 'variables.x"
+    assert meant in shell.refused("set", "variables.y.max=1")
+    assert "did you mean 'variables.x2.min'?" in shell.refused("set", "x2.min=1")
     assert "evaluations" in shell.refused("set", 'evaluations={"a": 1}')
     assert "seed is read when the tuner starts" in shell.refused("set", "seed=3")
     assert "x2" in shell.refused("queue", "x1=0.5")

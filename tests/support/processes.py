@@ -13,8 +13,40 @@ import pytest
 
 from launcher import watchdog
 from robustness.processes import TIMEOUT, NodeProcess, NodeStarter
+from tests.support.fork_server import MODULES, ForkServer, Request
 
-__all__ = ["TIMEOUT", "NodeProcess", "NodeStarter", "end_with_this_process", "wait_until"]
+__all__ = [
+    "TIMEOUT",
+    "NodeForker",
+    "NodeProcess",
+    "NodeStarter",
+    "end_with_this_process",
+    "wait_until",
+]
+
+
+class NodeForker(NodeStarter):
+    """A starter that forks the nodes that are imported already, which is faster."""
+
+    server = ForkServer()
+
+    def __call__(
+        self,
+        *arguments: str,
+        preexec: Callable[[], None] | None = None,
+        terminal: int | None = None,
+        **environment: str,
+    ) -> NodeProcess:
+        is_known = arguments[0] == "-m" and arguments[1] in MODULES
+        if not is_known or preexec or terminal is not None or environment:
+            return super().__call__(*arguments, preexec=preexec, terminal=terminal, **environment)
+        stem = self.folder / f"process{len(self.processes)}"
+        stdout, stderr = stem.with_suffix(".out"), stem.with_suffix(".err")
+        stdout.touch()
+        stderr.touch()
+        request = Request(arguments, stdout, stderr, dict(os.environ), self.folder)
+        self.processes.append(NodeProcess(self.server.fork(request), stdout, stderr))
+        return self.processes[-1]
 
 
 def wait_until(

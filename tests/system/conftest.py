@@ -15,15 +15,15 @@ import pytest
 from tests.support.mobo_run import ROOT, Run
 
 
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Callable[..., Run]]:
-    """Start `mobo.py run`, or `mobo.py resume` of the run that is named by `resumed`."""
+@contextlib.contextmanager
+def runs_in(folder: Path) -> Iterator[Callable[..., Run]]:
+    """A function that starts `mobo.py run`, or `mobo.py resume` of the run that is named by `resumed`."""
     started: list[Run] = []
+    runs_dir = folder / "runs"
 
     def start(
         *arguments: str, config: str = "toy.yaml", run_id: str = "run", resumed: str = ""
     ) -> Run:
-        runs_dir = tmp_path / "runs"
         verb = (
             ("resume", resumed) if resumed else ("run", "--config", str(ROOT / "config" / config))
         )
@@ -49,3 +49,10 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Run]]:
         for pid in run.processes():
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., Run]]:
+    """Start a run in the test's own folder."""
+    with runs_in(tmp_path) as start:
+        yield start

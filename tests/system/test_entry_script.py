@@ -495,7 +495,11 @@ def test_the_tests_get_their_arguments_and_give_their_status(
 ) -> None:
     monkeypatch.setenv("PYTHONPATH", "elsewhere")
     assert project.run("test", "-k", "name", "--help") == (5, "-k name --help None\n", "")
-    assert project.run("test") == (5, "-n 3 --dist loadfile --reruns 1 -rR None\n", "")
+    assert project.run("test") == (
+        5,
+        "-n 3 --dist loadfile --reruns 1 --rerun-show-tracebacks -rR None\n",
+        "",
+    )
 
 
 def test_interrupted_tests_end(project: FakeProject) -> None:

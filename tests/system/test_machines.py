@@ -25,7 +25,7 @@ from rclpy.node import Node
 
 from launcher.ros_domain import RosDomain
 from launcher.supervisor import EXIT_LIMIT
-from tests.support.mobo_run import ROOT, TIMEOUT, Run
+from tests.support.mobo_run import ROOT, TIMEOUT, Run, mcap_messages
 
 FILES = {"bag", "config.yaml", "journal.jsonl", "journal.lines", "log", "run.json", "summary.json"}
 PROGRAM = "python examples/my_machine.py"
@@ -144,12 +144,24 @@ def test_a_run_is_killed_and_resumed_with_the_machine_that_it_had(
     run = start("--evaluations", "500", *lab.options, config=str(lab.config), run_id="first")
     run.until(lambda: len(run.evaluations()) >= 2, "two evaluations")
     lab.kill_machine(run)
+    finished = len(run.evaluations())
     status, out, err = run.wait()
     assert status == 1, err
     assert err.splitlines()[0].startswith("mobo.py: the run failed: the machine ")
     assert out.splitlines()[-1] == str(run.folder)
+    assert "Traceback" not in err
     assert facts_of(run)["state"] == state_in_list(run) == "failed"
     run.assert_nothing_left()
+    told = mcap_messages(run.folder / "bag", "/evaluation")
+    assert [m.index for m in told] == [r["index"] for r in run.evaluations()]
+    assert len(told) >= finished
+    summary = json.loads((run.folder / "summary.json").read_text())
+    assert summary["evaluations"] == len(told)
+    if lab.node == "awa_sim_node.node":
+        assert "awa_sim" in err
+        assert (
+            summary["stop_reason"] == "canceled"
+        )  # by mobo.py, which knows that it will not return
 
     killed = run
     if lab.node in ("awa_sim_node.node", "machine_bridge"):  # the run's own, and one in between

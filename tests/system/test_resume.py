@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import yaml
 
+from launcher.supervisor import EXIT_LIMIT
 from tests.support.mobo_run import ROOT, TIMEOUT, Run, mcap_messages
 
 
@@ -61,7 +62,9 @@ def killed_run(
     status, _, said = run.wait()
     assert status not in (0, None)
     assert "Traceback" not in said
-    run.assert_nothing_left(timeout=20.0)
+    run.assert_nothing_left(timeout=20.0 if module else EXIT_LIMIT)
+    told = mcap_messages(run.folder / "bag", "/evaluation")
+    assert 2 <= len(told) <= len(run.evaluations())
     return run
 
 

@@ -3,27 +3,43 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 from rosbags.highlevel import AnyReader
 
 from tests.support.mobo_run import ROOT, TIMEOUT, Run, mcap_messages, rosbags_count
+from tests.system.conftest import runs_in
 
 EXIT_LIMIT = 5.0  # [s] from a signal to the end, as promised
 
 
-def test_a_run_leaves_a_summary_pictures_a_journal_and_a_bag(start: Callable[..., Run]) -> None:
-    # Some seconds long: a recorder on a busy computer may miss part of a run of half a second.
-    run = start("--evaluations", "9", "--seed", "4", "--speed", "10")
-    status, out, err = run.wait()
+class Ended(NamedTuple):
+    """A run that has ended by itself, its exit status and what it printed."""
+
+    run: Run
+    status: int
+    out: str
+    err: str
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Ended, Ended]]:
+    """Two runs at once, with different seeds."""
+    with runs_in(tmp_path_factory.mktemp("pair")) as start:
+        one = start("--evaluations", "9", "--seed", "4", "--speed", "10", run_id="one")
+        two = start("--evaluations", "8", "--seed", "2", run_id="two")
+        yield Ended(one, *one.wait()), Ended(two, *two.wait())
+
+
+def test_a_run_leaves_a_summary_pictures_a_journal_and_a_bag(pair: tuple[Ended, Ended]) -> None:
+    run, status, out, err = pair[0]
     assert status == 0, err
     assert out.rstrip().splitlines()[-1] == str(run.folder)
     run.assert_nothing_left()
@@ -53,7 +69,7 @@ def test_a_run_leaves_a_summary_pictures_a_journal_and_a_bag(start: Callable[...
     assert [m.hypervolume for m in told] == [r["hypervolume"] for r in run.evaluations()]
     assert rosbags_count(run.folder / "bag", "/evaluation") == 9
     beats = mcap_messages(run.folder / "bag", "/heartbeat")
-    assert [beat.run_id for beat in beats][-2:] == ["run", ""]
+    assert [beat.run_id for beat in beats][-2:] == ["one", ""]
     [problem] = mcap_messages(run.folder / "bag", "/problem")
     assert [o.name for o in problem.objectives] == ["f1", "f2"]
     with AnyReader([run.folder / "bag"]) as reader:
@@ -63,58 +79,23 @@ def test_a_run_leaves_a_summary_pictures_a_journal_and_a_bag(start: Callable[...
         assert profile.durability.name == "TRANSIENT_LOCAL"
         assert profile.reliability.name == "RELIABLE"
 
-    again = start("--evaluations", "1")
-    status, _, err = again.wait()
+
+def test_a_run_of_the_same_name_is_refused(pair: tuple[Ended, Ended]) -> None:
+    run = pair[0].run
+    with runs_in(run.runs_dir.parent) as start:
+        status, _, err = start("--evaluations", "1", run_id="one").wait()
     assert status != 0
     assert "exists" in err
     assert len(run.evaluations()) == 9
 
 
-def test_two_runs_side_by_side_do_not_disturb_each_other(start: Callable[..., Run]) -> None:
-    runs = [
-        start("--evaluations", "8", "--seed", "1", run_id="one"),
-        start("--evaluations", "8", "--seed", "2", run_id="two"),
-    ]
-    for run in runs:
-        status, _, err = run.wait()
+def test_two_runs_side_by_side_do_not_disturb_each_other(pair: tuple[Ended, Ended]) -> None:
+    for (run, status, _, err), count in zip(pair, (9, 8), strict=True):
         assert status == 0, err
         told = mcap_messages(run.folder / "bag", "/evaluation")
-        assert [(m.run_id, m.index) for m in told] == [(run.run_id, i) for i in range(8)]
-    setpoints = [[r["setpoint"] for r in run.evaluations()] for run in runs]
-    assert setpoints[0] != setpoints[1]
-
-
-@pytest.mark.parametrize(("options", "reach"), [((), "LOCALHOST"), (("--network",), "SUBNET")])
-def test_a_run_is_open_to_other_hosts_only_where_that_is_asked_for(
-    start: Callable[..., Run], options: tuple[str, ...], reach: str
-) -> None:
-    run = start("--evaluations", "1000", *options)
-    run.until(lambda: run.evaluations(), "an evaluation")
-    for module in ("mobo_tuner.nodes.tuner", "awa_sim_node", "mobo_tuner.nodes.recorder"):
-        environment = Path(f"/proc/{run.node(module)}/environ").read_bytes().split(b"\0")
-        assert f"ROS_AUTOMATIC_DISCOVERY_RANGE={reach}".encode() in environment
-    run.process.send_signal(signal.SIGINT)
-    assert run.wait()[0] == 130
-    run.assert_nothing_left()
-
-
-def test_a_killed_machine_ends_the_run_with_a_clear_error(start: Callable[..., Run]) -> None:
-    run = start("--speed", "50", config="awa.yaml")
-    run.until(lambda: len(run.evaluations()) >= 2, "two evaluations")
-    os.kill(run.node("awa_sim_node.node"), signal.SIGKILL)
-    finished = len(run.evaluations())
-    status, out, err = run.wait()
-    assert status not in (0, None)
-    assert "awa_sim" in err
-    assert "Traceback" not in err
-    assert out.rstrip().splitlines()[-1] == str(run.folder)
-    run.assert_nothing_left()
-    assert len(run.evaluations()) >= finished
-    told = mcap_messages(run.folder / "bag", "/evaluation")
-    assert [m.index for m in told] == [r["index"] for r in run.evaluations()]
-    summary = json.loads((run.folder / "summary.json").read_text())
-    assert summary["evaluations"] == len(told)
-    assert summary["stop_reason"] == "canceled"  # by mobo.py, which knows that it will not return
+        assert [(m.run_id, m.index) for m in told] == [(run.run_id, i) for i in range(count)]
+    first, second = ([r["setpoint"] for r in ended.run.evaluations()] for ended in pair)
+    assert first[:8] != second
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -122,11 +103,13 @@ def test_a_killed_machine_ends_the_run_with_a_clear_error(start: Callable[..., R
 def test_a_signal_ends_everything_in_time(
     start: Callable[..., Run], number: signal.Signals, moment: str
 ) -> None:
-    run = start("--speed", "50", config="awa.yaml")
+    is_open = number == signal.SIGINT  # to other hosts, which is asked for
+    run = start("--speed", "50", *["--network"][: int(is_open)], config="awa.yaml")
     if moment == "starting":
         run.until(lambda: (run.folder / "run.json").exists(), "the run folder")
     else:
         run.until(lambda: len(run.evaluations()) >= 2, "two evaluations")
+        assert_reach(run, "SUBNET" if is_open else "LOCALHOST")
     run.process.send_signal(number)
     sent = time.monotonic()
     status, _, err = run.wait(timeout=30.0)
@@ -140,14 +123,11 @@ def test_a_signal_ends_everything_in_time(
         assert rosbags_count(run.folder / "bag", "/evaluation") == len(told)
 
 
-def test_when_mobo_itself_is_killed_nothing_is_left(start: Callable[..., Run]) -> None:
-    run = start("--speed", "50", config="awa.yaml")
-    run.until(lambda: len(run.evaluations()) >= 2, "two evaluations")
-    run.process.kill()
-    run.process.wait(timeout=5.0)
-    run.assert_nothing_left(timeout=EXIT_LIMIT)
-    told = mcap_messages(run.folder / "bag", "/evaluation")
-    assert len(told) >= 2
+def assert_reach(run: Run, reach: str) -> None:
+    """Check how far the nodes of a run may be found."""
+    for module in ("mobo_tuner.nodes.tuner", "awa_sim_node", "mobo_tuner.nodes.recorder"):
+        environment = Path(f"/proc/{run.node(module)}/environ").read_bytes().split(b"\0")
+        assert f"ROS_AUTOMATIC_DISCOVERY_RANGE={reach}".encode() in environment
 
 
 def test_a_bad_configuration_starts_nothing(tmp_path: Path) -> None:

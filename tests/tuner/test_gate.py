@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Coroutine, Mapping, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -36,7 +37,7 @@ from mobo_tuner.tuner.gate import (
     settle_on_bounds,
 )
 from mobo_tuner.tuner.machine_client import Answer, FeedbackCallback
-from mobo_tuner.tuner.run.fallbacks import fallback_target
+from mobo_tuner.tuner.run.fallbacks import Fallbacks, fallback_target
 from mobo_tuner.tuner.run.loop import take_queued
 from mobo_tuner.tuner.run.run import Outcome, Run, Suggestion
 from mobo_tuner.tuner.run.steering import Change
@@ -313,6 +314,29 @@ def test_a_fallback_outside_the_bounds_is_not_sent(gate: Gate) -> None:
 def test_a_readback_a_hair_outside_is_taken_for_the_bound() -> None:
     problem = make_problem({"x": (2.0, 8.0), "y": (-5.0, 5.0)})
     assert settle_on_bounds(problem, {"x": 8.05, "y": -5.2}) == {"x": 8.0, "y": -5.2}
+
+
+def test_a_fallback_that_would_not_act_is_said_until_it_would() -> None:
+    shift = Shift()
+    shift.run.state_before = {"x": 6.0, "y": 4.0}
+    suggestion = Suggestion({"x": 1.0, "y": 1.0}, "operator", 0.0)
+    answer = shift.evaluate(suggestion.setpoint, ("hold", "hold"))
+    shift.run.learn(suggestion, Outcome(answer, 1))
+    policies = {
+        "on_end": "best",
+        "on_abort": "restore",
+        "on_violation": "restore_anyway",
+        "on_client_lost": "hold",
+    }
+    context: Any = SimpleNamespace(gate=shift.gate, parameters=SimpleNamespace(**policies))
+    fallbacks = Fallbacks(context)
+    assert fallbacks.hints(shift.run) == []
+    shift.problem = make_problem({"x": (3.0, 5.0), "y": (3.0, 5.0)})
+    best, restore = fallbacks.hints(shift.run)
+    assert best.startswith("on_end is 'best', but the machine would hold: no point of the front")
+    assert restore.startswith("on_abort is 'restore', but the machine would hold: ")
+    shift.problem = make_problem(WIDEST)
+    assert fallbacks.hints(shift.run) == []
 
 
 def names_in(path: Path) -> set[str]:

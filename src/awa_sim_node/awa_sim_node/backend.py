@@ -49,6 +49,7 @@ class SimulatedBackend(MachineBackend):
         description: Description of the machine, valid whether or not it is connected.
         speed: Simulated seconds per second of `now`.
         now: Callable that returns the current time [s].
+        trouble: Callable that returns why that time stands still; empty if it does not.
     """
 
     def __init__(
@@ -57,10 +58,12 @@ class SimulatedBackend(MachineBackend):
         description: ModelDescription,
         speed: float,
         now: Callable[[], float] = time.monotonic,
+        trouble: Callable[[], str] = str,
     ) -> None:
         self._node = node
         self._speed = speed
         self._now = now
+        self._trouble = trouble
         self._last = now()
         self.name = description.title
         self.max_shots = MAX_SHOTS
@@ -123,7 +126,9 @@ class SimulatedBackend(MachineBackend):
         """Return functions for the health of the beam and the actuators."""
         return {
             "beam": lambda: beam_health(self.machine),
-            "actuators": lambda: actuators_health(self.machine, self.simulated_time),
+            "actuators": lambda: actuators_health(
+                self.machine, self.simulated_time, self._trouble()
+            ),
         }
 
     def advance(self) -> None:

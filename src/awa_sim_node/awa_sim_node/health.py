@@ -18,16 +18,19 @@ def beam_health(machine: SimulatedMachine | None) -> Health:
     return Health(OK, "beam is there", values)
 
 
-def actuators_health(machine: SimulatedMachine | None, seconds: float) -> Health:
+def actuators_health(machine: SimulatedMachine | None, seconds: float, trouble: str = "") -> Health:
     """Return whether the actuators move, and where they are and should be.
 
     Args:
         machine: Machine that is connected; None if there is none.
         seconds: Simulated time since the node was started [s].
+        trouble: Why that time stands still; empty if it does not.
     """
     if machine is None:
         return _NO_MACHINE
     setpoint, readbacks = machine.setpoint, machine.readbacks()
     values = {name: f"{readbacks[name]:g} (set {setpoint[name]:g})" for name in setpoint}
-    message = "settled" if machine.settled else "moving"
-    return Health(OK, message, values | {"simulated time [s]": f"{seconds:.1f}"})
+    values["simulated time [s]"] = f"{seconds:.1f}"
+    if trouble:
+        return Health(WARN, trouble, values)
+    return Health(OK, "settled" if machine.settled else "moving", values)

@@ -16,6 +16,7 @@ from awa_sim_node import interfaces
 from awa_sim_node.backend import SimulatedBackend
 from awa_sim_node.beam_topics import BeamTopics
 from awa_sim_node.devices import Devices
+from awa_sim_node.external_clock import ExternalClock
 from awa_sim_node.machine import EvaluationResult, SimulatedMachine, behaviour_of, describe
 from awa_sim_node.machine.behaviour import Mode
 from awa_sim_node.parameters import AWA_SIM, behaviour_specs
@@ -25,6 +26,7 @@ from mobo_tuner.ros.process import Program, exit_process, run_node
 from mobo_tuner.ros.waiting import STEADY_CLOCK
 
 CLOCK_PERIOD = 0.05  # [s] of wall time
+LOOK_PERIOD = 0.5  # [s] of wall time between two looks whether the clock of others stands still
 
 
 class AwaSim(MachineNode):
@@ -68,7 +70,15 @@ class AwaSim(MachineNode):
         self._behaviour = declare(node, behaviour_specs(model, mode))
         behaviour_of(model, Mode(mode)).changed(self._behaviour)
         self._speed = float(self._values["speed"])
-        self._simulated = SimulatedBackend(node, describe(model), self._speed, self._passing_time())
+        clock = self._external_clock()
+        self._trouble = ""  # with the clock
+        self._simulated = (
+            SimulatedBackend(node, describe(model), self._speed, clock, lambda: self._trouble)
+            if clock
+            else SimulatedBackend(node, describe(model), self._speed)
+        )
+        if clock:
+            self._every(LOOK_PERIOD, lambda: self._look_at(clock))
         return self._simulated
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -106,13 +116,21 @@ class AwaSim(MachineNode):
         self._simulated.disconnect()
         return done
 
-    def _passing_time(self) -> Callable[[], float]:
-        """Return the clock [s] that drives the machine: wall time, or `/clock` if it is external."""
+    def _external_clock(self) -> ExternalClock | None:
+        """Return the clock on `/clock` if others publish it; None if wall time drives the machine."""
         simulated = self.get_parameter("use_sim_time").value
-        if simulated and not self._values["publish_clock"]:
-            clock = self.get_clock()
-            return lambda: float(clock.now().nanoseconds * 1e-9)
-        return time.monotonic
+        if not simulated or self._values["publish_clock"]:
+            return None
+        clock = self.get_clock()
+        return ExternalClock(lambda: float(clock.now().nanoseconds * 1e-9))
+
+    def _look_at(self, clock: ExternalClock) -> None:
+        """Say when the time begins to stand still, and when it goes on."""
+        before, self._trouble = self._trouble, clock.trouble
+        if self._trouble and not before:
+            self.get_logger().warning(self._trouble)
+        elif before and not self._trouble:
+            self.get_logger().info("the time on /clock goes on")
 
     def _every(self, period: float, callback: Callable[[], Any]) -> None:
         # Streams run in wall time, whatever the speed of the simulation.

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import rclpy
 from action_msgs.srv import CancelGoal
-from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import Executor, SingleThreadedExecutor
@@ -35,6 +35,7 @@ POLL_PERIOD = 0.05  # [s]
 SERVICES: Mapping[str, type] = {
     **{service.name: service.kind for service in interfaces.SERVICES if service.node == "tuner"},
     "tuner/get_parameters": GetParameters,
+    "tuner/list_parameters": ListParameters,
     "tuner/set_parameters_atomically": SetParametersAtomically,
     "go_to_working_point/_action/cancel_goal": CancelGoal,
 }

@@ -5,13 +5,14 @@ from __future__ import annotations
 import atexit
 import time
 from collections.abc import Callable, Mapping
+from difflib import get_close_matches
 from functools import partial
 from queue import SimpleQueue
 from types import TracebackType
 from typing import Any
 
 from action_msgs.srv import CancelGoal
-from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -386,7 +387,11 @@ class TunerClient:
         """
         values = self._call("tuner/get_parameters", GetParameters.Request(names=[name])).values
         if not values:
-            raise TunerError(ErrorCode.REFUSED, f"the tuner has no parameter '{name}'")
+            known = self._call("tuner/list_parameters", ListParameters.Request()).result.names
+            near = [one for one in known if one.endswith(f".{name}")]
+            near = near or get_close_matches(name, known, n=1)
+            meant = f"; did you mean '{near[0]}'?" if near else ""
+            raise TunerError(ErrorCode.REFUSED, f"the tuner has no parameter '{name}'{meant}")
         value = parameter_value_to_python(values[0])
         return list(value) if hasattr(value, "tolist") else value
 

@@ -63,10 +63,11 @@ def doubts(models: Mapping[str, GaussianProcess], belief: Belief, *, noisy: bool
             continue
         left_out = model.leave_one_out()
         readings = left_out.mean + left_out.residual
-        error = float(np.median(np.abs(left_out.residual)))
+        latest = slice(-fewest, None)  # more shots cure the later readings, not those before
+        error = float(np.median(np.abs(left_out.residual[latest])))
         spread = float(np.median(np.abs(readings - np.median(readings))))
         is_unexplained = error > UNEXPLAINED * spread > 0.0
-        is_noise = error <= float(np.median(model.known_noise))
+        is_noise = error <= float(np.median(model.known_noise[latest]))
         is_harmless = name not in problem.objective_names and (
             is_noise or is_surely_met(problem, name, left_out.mean, left_out.stddev)
         )

@@ -70,17 +70,19 @@ class Fallbacks:
         run.state_before = settle_on_bounds(self._context.gate.bounds, within)
         keep_state(self._context, run, run.state_before)
         for event in wanting:
-            trouble = blocked_restore(policies[event], run, self._context.gate)
+            trouble = blocked(policies[event], run, self._context.gate)
             if trouble:
-                raise RunError(Tune.Result.INVALID_GOAL, f"{event} is '{RESTORE}', but {trouble}")
+                raise RunError(
+                    Tune.Result.INVALID_GOAL, f"{event} is '{policies[event]}', but {trouble}"
+                )
 
     def hints(self, run: Run) -> list[str]:
         """Return which policies would not do what they say, as the bounds were changed."""
         found = []
         for event in EVENTS:
-            trouble = blocked_restore(self._policy(event), run, self._context.gate)
-            if trouble:
-                found.append(f"{event} is '{RESTORE}', but the machine would hold: {trouble}")
+            policy = self._policy(event)
+            if trouble := blocked(policy, run, self._context.gate):
+                found.append(f"{event} is '{policy}', but the machine would hold: {trouble}")
         return found
 
     def target(self, run: Run, event: str) -> Target | None:
@@ -101,7 +103,7 @@ class Fallbacks:
         policy = self._policy(event)
         target = self.target(run, event)
         if target is None:
-            trouble = blocked_restore(policy, run, self._context.gate)
+            trouble = blocked(policy, run, self._context.gate)
             return f"the machine holds: {trouble}" if trouble else ""
         what = "the best point" if policy == BEST else "the state before the run"
         try:
@@ -190,8 +192,13 @@ def fallback_target(policy: str, run: Run, gate: Gate) -> Target | None:
     return None
 
 
-def blocked_restore(policy: str, run: Run, gate: Gate) -> str:
-    """Return why a policy cannot restore the state before the run; empty if it can or need not."""
+def blocked(policy: str, run: Run, gate: Gate) -> str:
+    """Return why a policy would not act, as the bounds were changed; empty if it would or need not."""
+    if policy == BEST:
+        points = [Target(point["setpoint"]) for point in run.found.front]
+        if not points or any(gate.allows(point) for point in points):
+            return ""
+        return "no point of the front is within the bounds"
     if policy not in (RESTORE, RESTORE_ANYWAY) or run.state_before is None:
         return ""
     try:
