@@ -58,6 +58,25 @@ def written(path: Path, section: dict[str, Any], name: str = "tuner") -> str:
     return str(path)
 
 
+def test_a_node_reads_a_file_as_every_other_reader_does(ros_domain: int, tmp_path: Path) -> None:
+    """Newtons are no truth value, aliases are resolved, and numbers are those of people."""
+    path = tmp_path / "file.yaml"
+    path.write_text(
+        """tuner:
+  ros__parameters:
+    x: &x {unit: N, min: -1e-3, max: 2E3, named: y, is_on: yes}
+    z: {<<: *x, max: 3.0}
+    texts: ['1e5', 1:30, 010, 1_000]
+"""
+    )
+    with node_with(ros_domain, "--ros-args", "--params-file", str(path)) as node:
+        read = {name: p.value for name, p in node.get_parameters_by_prefix("").items()}
+    x = {"unit": "N", "min": -1e-3, "max": 2e3, "named": "y", "is_on": True}
+    for name, values in (("x", x), ("z", x | {"max": 3.0})):
+        assert {leaf: read[f"{name}.{leaf}"] for leaf in x} == values
+    assert read["texts"] == ["1e5", "1:30", "010", "1_000"]
+
+
 def declared(domain: int, *arguments: str) -> dict[str, Any]:
     with node_with(domain, *arguments) as node:
         return declare(node, SPECS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +77,11 @@ def _count(value: Any, known: dict[int, float]) -> float:
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
-    """YAML loader that rejects repeated keys, of which PyYAML would silently drop the first."""
+    """YAML loader that rejects repeated keys, of which PyYAML would silently drop the first.
+
+    Numbers are those of people and of YAML 1.2: `1e-6` is one, and `1:30`, `010` and `1_000`, which YAML 1.1
+    takes for 90, 8 and 1000, are texts.
+    """
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
@@ -89,3 +94,19 @@ class _UniqueKeyLoader(yaml.SafeLoader):
                     )
                 seen.add(key)
         return super().construct_mapping(node, deep)
+
+
+_NUMBERS = {
+    "int": r"[-+]?(0|[1-9][0-9]*|0x[0-9a-fA-F]+)",
+    "float": r"[-+]?(([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[0-9]+[eE][-+]?[0-9]+|\.(inf|Inf|INF))"
+    r"|\.(nan|NaN|NAN)",
+}
+_TAG = "tag:yaml.org,2002:"
+_UniqueKeyLoader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag.removeprefix(_TAG) not in _NUMBERS]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+for _name, _pattern in _NUMBERS.items():
+    _UniqueKeyLoader.add_implicit_resolver(
+        f"{_TAG}{_name}", re.compile(f"^({_pattern})$"), list("-+.0123456789")
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
 import sys
 import tempfile
@@ -32,8 +33,9 @@ _NEARLY = 0.8  # similarity above which a name counts as another one misspelt
 def as_node_arguments(arguments: Sequence[str], name: str = "") -> Iterator[list[str]]:
     """Yield the command line of a program with one node, as rclpy must get it.
 
-    It differs in four ways. What has no value in a file is left out, whereas ROS refuses the file or
-    the node. Parameters below a key with a dot keep their names, which ROS mixes up. A
+    It differs in five ways. What has no value in a file is left out, whereas ROS refuses the file or
+    the node. Scalars and aliases mean what they mean to every other reader of the file: ROS refuses
+    aliases, and reads the unit `N` as false. Parameters below a key with a dot keep their names, which ROS mixes up. A
     `-p name:=value` wins over every section of the parameter files, whereas
     ROS lets it yield to the section of the node. And a node that is renamed or in a namespace takes
     the section of its original name in each file without a section of its own but `/**`, whereas ROS
@@ -49,8 +51,12 @@ def as_node_arguments(arguments: Sequence[str], name: str = "") -> Iterator[list
     node = _full_name(arguments, name)
     _refuse_misspelt_sections(arguments, name, node)
     with ExitStack() as files:
-        words = _with_own_section(_without_gaps(arguments, files), name, node, files)
-        words = _with_plain_keys(words, files)
+        words = list(arguments)
+        for position, (flag, path) in enumerate(pairwise(arguments), start=1):
+            if flag == "--params-file":
+                filled = {key: _filled(section) for key, section in _content(path).items()}
+                content = _with_plain_keys(_with_own_section(filled, name, node))
+                words[position] = _temporary(_as_text(content), files)
         given = _assigned(arguments, {name, node, node.rpartition("/")[2]} - {""})
         if given:
             lines = [f"    {key}: {value}" for key, value in given.items()]
@@ -106,17 +112,6 @@ def _refuse_misspelt_sections(arguments: Sequence[str], name: str, node: str) ->
                 )
 
 
-def _without_gaps(arguments: Sequence[str], files: ExitStack) -> list[str]:
-    """Leave out of each file what has no value, such as `{}`, `[]` and null."""
-    words = list(arguments)
-    for position, (flag, path) in enumerate(pairwise(arguments), start=1):
-        content = _content(path) if flag == "--params-file" else {}
-        filled = {key: _filled(section) for key, section in content.items()}
-        if filled != content:
-            words[position] = _temporary(yaml.safe_dump(filled, sort_keys=False), files)
-    return words
-
-
 def _filled(entry: Any, depth: int = 0) -> Any:
     """Return a section without entries that have no value; `depth` counts the mappings above it.
 
@@ -133,41 +128,28 @@ def _filled(entry: Any, depth: int = 0) -> Any:
     return {key: value for key, value in inside.items() if value not in _GAPS}
 
 
-def _with_own_section(
-    arguments: Sequence[str], name: str, node: str, files: ExitStack
-) -> list[str]:
-    """Rename the section of a node's original name to its full name, if the file has none for that."""
-    words = list(arguments)
+def _with_own_section(content: Mapping[Any, Any], name: str, node: str) -> Mapping[Any, Any]:
+    """Rename the section of a node's original name to its full name, if there is none for that."""
     if not name or node == f"/{name}":
-        return words
+        return content
+    if any(section != EVERY_NODE and _is_for(section, node) for section in content):
+        return content
     own = {name, f"/{name}", f"/**/{name}"}
-    key = re.compile(rf"^(['\"]?)(/\*\*/|/)?{re.escape(name)}\1(?=\s*:)", flags=re.MULTILINE)
-    for position, (flag, path) in enumerate(pairwise(arguments), start=1):
-        sections = {*_content(path)} if flag == "--params-file" else set()
-        specific = any(section != EVERY_NODE and _is_for(section, node) for section in sections)
-        if own & sections and not specific:
-            text = key.sub(f'"{node}"', Path(path).read_text(encoding="utf-8"))
-            words[position] = _temporary(text, files)
-    return words
+    return {node if section in own else section: part for section, part in content.items()}
 
 
-def _with_plain_keys(arguments: Sequence[str], files: ExitStack) -> list[str]:
-    """Give all parameters of a file by their ROS names if a key with a dot holds a mapping.
+def _with_plain_keys(content: Mapping[Any, Any]) -> Mapping[Any, Any]:
+    """Give all parameters by their ROS names if a key with a dot holds a mapping.
 
     The parser of ROS forgets such a key only up to its last dot.
     """
-    words = list(arguments)
-    for position, (flag, path) in enumerate(pairwise(arguments), start=1):
-        content = _content(path) if flag == "--params-file" else {}
-        if not _has_dotted_mapping(content):
-            continue
-        plain = {
-            section: {"ros__parameters": dict(flat(part["ros__parameters"]))}
-            for section, part in content.items()
-            if isinstance(part, Mapping) and isinstance(part.get("ros__parameters"), Mapping)
-        }
-        words[position] = _temporary(yaml.safe_dump(plain, sort_keys=False), files)
-    return words
+    if not _has_dotted_mapping(content):
+        return content
+    return {
+        section: {"ros__parameters": dict(flat(part["ros__parameters"]))}
+        for section, part in content.items()
+        if isinstance(part, Mapping) and isinstance(part.get("ros__parameters"), Mapping)
+    }
 
 
 def _has_dotted_mapping(content: Mapping[Any, Any]) -> bool:
@@ -193,6 +175,26 @@ def _is_for(section: object, node: str) -> bool:
     for wildcard, meaning in ((r"/\*\*", r"(/\w+)*"), (r"/\*", r"/\w+")):
         pattern = pattern.replace(wildcard, meaning)
     return re.fullmatch(pattern, node) is not None
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writer of YAML in which texts are quoted, and nothing is an alias."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+_Dumper.add_representer(
+    str, lambda dumper, text: dumper.represent_scalar("tag:yaml.org,2002:str", text, style='"')
+)
+
+
+def _as_text(content: Mapping[Any, Any]) -> str:
+    """Return what a parameter file holds as ROS reads it."""
+    text: str = yaml.dump(
+        content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=math.inf
+    )
+    return text
 
 
 def _temporary(text: str, files: ExitStack) -> str:
