@@ -62,6 +62,14 @@ def load_yaml(path: str | Path) -> dict[str, Any]:
     return content
 
 
+def load_value(text: str) -> Any:
+    """Return what a text stands for as a value in a YAML file; the text itself if it cannot be one."""
+    try:
+        return yaml.load(text, Loader=_UniqueKeyLoader)
+    except (yaml.YAMLError, RecursionError, ArithmeticError, TypeError, ValueError):
+        return text
+
+
 def _count(value: Any, known: dict[int, float]) -> float:
     """Return the number of values with expanded aliases; infinite if a value contains itself.
 

@@ -18,7 +18,7 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 
 from mobo_tuner.errors import ParameterError
-from mobo_tuner.files import load_yaml
+from mobo_tuner.files import load_value, load_yaml
 from mobo_tuner.parameter_file import flat
 from mobo_tuner.parameter_spec import ParameterSpec, unknown
 
@@ -59,8 +59,8 @@ def as_node_arguments(arguments: Sequence[str], name: str = "") -> Iterator[list
                 words[position] = _temporary(_as_text(content), files)
         given = _assigned(arguments, {name, node, node.rpartition("/")[2]} - {""})
         if given:
-            lines = [f"    {key}: {value}" for key, value in given.items()]
-            text = "\n".join(["/**/*:", "  ros__parameters:", *lines, ""])
+            values = {key: load_value(text) for key, text in given.items()}
+            text = _as_text({"/**/*": {"ros__parameters": values}})
             words += ["--ros-args", "--params-file", _temporary(text, files)]
         yield words
 
