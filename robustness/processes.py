@@ -46,9 +46,14 @@ class Child(Protocol):
 
     pid: int
 
-    def poll(self) -> int | None: ...
-    def wait(self, timeout: float) -> int: ...
-    def send_signal(self, sig: int) -> None: ...
+    def poll(self) -> int | None:
+        """Return the exit status; None while the process is running."""
+
+    def wait(self, timeout: float) -> int:
+        """Return the exit status."""
+
+    def send_signal(self, sig: int) -> None:
+        """Send a signal unless the process has ended."""
 
 
 @dataclass

@@ -72,7 +72,8 @@ def test_a_node_reads_a_file_as_every_other_reader_does(ros_domain: int, tmp_pat
     words = ("--ros-args", "--params-file", str(path), "-p", "unit:=N", "-p", "least:=1e-3")
     with node_with(ros_domain, *words) as node:
         assert (node.get_parameter("unit").value, node.get_parameter("least").value) == ("N", 1e-3)
-        read = {name: p.value for name, p in node.get_parameters_by_prefix("").items()}
+        declared: Mapping[str, Any] = node.get_parameters_by_prefix("")
+        read = {name: parameter.value for name, parameter in declared.items()}
     x = {"unit": "N", "min": -1e-3, "max": 2e3, "named": "y", "is_on": True}
     for name, values in (("x", x), ("z", x | {"max": 3.0})):
         assert {leaf: read[f"{name}.{leaf}"] for leaf in x} == values

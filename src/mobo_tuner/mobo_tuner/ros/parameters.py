@@ -10,7 +10,6 @@ import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import yaml
@@ -180,7 +179,8 @@ def _is_for(section: object, node: str) -> bool:
 class _Dumper(yaml.SafeDumper):
     """Writer of YAML in which texts are quoted, and nothing is an alias."""
 
-    def ignore_aliases(self, data: Any) -> bool:
+    def ignore_aliases(self, _data: Any) -> bool:
+        """Write a value as often as it stands."""
         return True
 
 
