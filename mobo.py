@@ -66,6 +66,15 @@ VERBS = {
 }
 
 
+def open_streams() -> None:
+    """Give this process and its children the standard streams that were closed, to and from nowhere."""
+    while (number := os.open(os.devnull, os.O_RDWR)) < 3:
+        os.set_inheritable(number, True)
+    os.close(number)
+    sys.stdout = sys.stdout or open(1, "w", closefd=False)  # noqa: SIM115
+    sys.stderr = sys.stderr or open(2, "w", closefd=False)  # noqa: SIM115
+
+
 def main(arguments: list[str]) -> int:
     """Carry out the command line; return the exit status."""
     try:
@@ -97,6 +106,7 @@ def complain(what: object, exit_status: int = 1) -> int:
 if __name__ == "__main__":
     if signal.getsignal(signal.SIGINT) == signal.SIG_DFL:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    open_streams()
     status = main(sys.argv[1:])
     try:
         sys.stdout.flush()

@@ -76,6 +76,18 @@ def test_a_wrong_command_line_is_one_sentence(arguments: list[str], named: str) 
     assert named in done.stderr
 
 
+@pytest.mark.parametrize("closed", [(1,), (0, 1, 2)])
+def test_closed_streams_are_no_error(tmp_path: Path, closed: tuple[int, ...]) -> None:
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "mobo.py"), "list", "--runs-dir", str(tmp_path)],
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: [os.close(number) for number in closed],
+        timeout=TIMEOUT,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
 def test_help_names_every_verb() -> None:
     done = mobo("--help")
     assert done.returncode == 0

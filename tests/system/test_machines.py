@@ -100,11 +100,12 @@ def lab(
     """The lab of one kind of machine, in a ROS domain of its own where that matters."""
     name, options, elsewhere, node = KINDS[request.param]
     content = yaml.safe_load((ROOT / "config" / name).read_text())
-    # So that a run whose machine is gone does not wait for it for a minute.
-    content["/**/tuner"]["ros__parameters"] |= {
-        "machine_return_timeout": 1.0,
-        "machine_timeout": 2.0,
-    }
+    if elsewhere:
+        # So that a run whose machine is gone does not wait for it for a minute.
+        content["/**/tuner"]["ros__parameters"] |= {
+            "machine_return_timeout": 1.0,
+            "machine_timeout": 2.0,
+        }
     bridge = content.get("/**/machine_bridge", {}).get("ros__parameters")
     if bridge:
         mapping = tmp_path / bridge["mapping"]

@@ -157,8 +157,9 @@ def run_node(
 
 def exit_process(status: int) -> NoReturn:
     """End the process now; threads that still compute are not waited for."""
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:  # it was open when the process began
+            stream.flush()
     os._exit(status)
 
 
