@@ -81,7 +81,7 @@ def test_closed_streams_are_no_error(tmp_path: Path, closed: tuple[int, ...]) ->
     done = subprocess.run(
         [sys.executable, str(ROOT / "mobo.py"), "list", "--runs-dir", str(tmp_path)],
         stderr=subprocess.PIPE,
-        preexec_fn=lambda: [os.close(number) for number in closed],
+        preexec_fn=lambda: os.closerange(closed[0], closed[-1] + 1),
         timeout=TIMEOUT,
         check=False,
     )

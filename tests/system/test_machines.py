@@ -160,9 +160,8 @@ def test_a_run_is_killed_and_resumed_with_the_machine_that_it_had(
     assert summary["evaluations"] == len(told)
     if lab.node == "awa_sim_node.node":
         assert "awa_sim" in err
-        assert (
-            summary["stop_reason"] == "canceled"
-        )  # by mobo.py, which knows that it will not return
+        # By mobo.py, which knows that the machine will not return.
+        assert summary["stop_reason"] == "canceled"
 
     killed = run
     if lab.node in ("awa_sim_node.node", "machine_bridge"):  # the run's own, and one in between
