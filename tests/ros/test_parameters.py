@@ -53,6 +53,23 @@ def node_with(domain: int, *arguments: str, name: str = "tuner") -> Iterator[Nod
         context.try_shutdown()
 
 
+@pytest.mark.parametrize(
+    ("rule", "reason"),
+    [
+        ("__ns:=/2A", "the namespace '/2A' is not allowed"),
+        ("__ns:=lab", "the namespace 'lab' is not allowed"),
+        ("__node:=9x", "the node name '9x' is not allowed"),
+        ("tuner:__node:=a-b", "the node name 'a-b' is not allowed"),
+    ],
+)
+def test_a_name_that_ros_does_not_allow_is_one_sentence(rule: str, reason: str) -> None:
+    words = ["program", "--ros-args", "-r", rule]
+    with pytest.raises(ParameterError) as refused, as_node_arguments(words, "tuner"):
+        pass
+    (sentence,) = str(refused.value).splitlines()
+    assert reason in sentence
+
+
 def written(path: Path, section: dict[str, Any], name: str = "tuner") -> str:
     path.write_text(yaml.safe_dump({name: {"ros__parameters": section}}))
     return str(path)

@@ -14,7 +14,10 @@ from typing import Any
 
 import yaml
 from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
+from rclpy.validate_namespace import validate_namespace
+from rclpy.validate_node_name import validate_node_name
 
 from mobo_tuner.errors import ParameterError
 from mobo_tuner.files import load_value, load_yaml
@@ -45,7 +48,8 @@ def as_node_arguments(arguments: Sequence[str], name: str = "") -> Iterator[list
         name: Name of the node, unless it is renamed.
 
     Raises:
-        ParameterError: If a section of a file has nearly the node's name, and none has it.
+        ParameterError: If the node's name or namespace is not allowed, or if a section of a file has
+            nearly the node's name, and none has it.
     """
     node = _full_name(arguments, name)
     _refuse_misspelt_sections(arguments, name, node)
@@ -65,7 +69,11 @@ def as_node_arguments(arguments: Sequence[str], name: str = "") -> Iterator[list
 
 
 def _full_name(arguments: Sequence[str], name: str) -> str:
-    """Return the full name that a node has after remapping."""
+    """Return the full name that a node has after remapping.
+
+    Raises:
+        ParameterError: If ROS does not allow it.
+    """
     namespace = "/"
     for flag, text in pairwise(arguments):
         rule, assigned, value = text.partition(":=")
@@ -75,6 +83,17 @@ def _full_name(arguments: Sequence[str], name: str) -> str:
                     namespace = value
                 case "__node" | "__name":
                     name = value
+    for what, given, validate in (
+        ("namespace", namespace, validate_namespace),
+        ("node name", name or "unnamed", validate_node_name),
+    ):
+        try:
+            validate(given)
+        except NameValidationException as error:
+            _, reason, *_ = str(error).partition("\n")[0].split(": ")
+            raise ParameterError(
+                f"the {what} '{given}' is not allowed: {reason.removesuffix(':')}"
+            ) from None
     return f"/{namespace.strip('/')}/{name}".replace("//", "/")
 
 
