@@ -137,6 +137,7 @@ def test_viewers_see_the_run_and_only_look_unless_they_may_steer(
     module = ("-m", "mobo_tuner.nodes.live_server", "--ros-args", "-p", "port:=0")
     steering = start_node(*module, "-p", "read_only:=false")
     looking = start_node(*module)
+    assert address_of(steering) != address_of(looking)  # both listen before anything is published
     start_machine()
     start_tuner("initial_evaluations:=5")
     with TunerClient(domain_id=ros_domain, timeout=TIMEOUT) as client:
