@@ -137,11 +137,12 @@ def test_what_the_models_do_not_foresee_is_found() -> None:
     assert optimizer.hypervolume > 14.0  # without the wells it is 3.3
 
 
-def test_while_the_front_stands_still_every_second_evaluation_explores() -> None:
+@pytest.mark.parametrize("stddev", [0.0, 0.001])
+def test_while_the_front_stands_still_every_second_evaluation_explores(stddev: float) -> None:
     optimizer = Optimizer(Problem.from_dict(TOY), seed=0, initial_evaluations=4)
     tune(optimizer, 4)
     for _ in range(6):  # nothing that is measured is better
-        optimizer.tell(optimizer.ask(), {"f1": 4.29, "f2": 4.29, "g": 0.0})
+        optimizer.tell(optimizer.ask(), {"f1": (4.29, stddev), "f2": (4.29, stddev), "g": 0.0})
     assert len(optimizer.dataset) == 10
     known = optimizer.dataset.inputs
     asked = optimizer.problem.normalize(optimizer.ask())

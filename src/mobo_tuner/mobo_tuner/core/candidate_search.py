@@ -150,12 +150,13 @@ class CandidateSearch:
         candidate promises less. It is chosen at every second evaluation, too, while the front does not
         move: then the models promise too much, unless what they promised missed a constraint only, which is
         learned where it was missed. With one objective, or weights, the best point is sought
-        to the last digit, and nothing is explored; nor where readings are noisy, or a reference point is
-        out of reach, which is approached first.
+        to the last digit, and nothing is explored; nor where the machine varies, a reference point is out of
+        reach, which is approached first, or readings are noisy and nothing is feasible yet: then what lacks
+        little of a limit may meet it.
         """
         chance, n, belief = self._settings.exploration, len(self._data), self._archive.belief
         single = len(self._problem.objectives) == 1 or self._settings.weights is not None
-        if chance == 0.0 or single or not self._models.trusts_readings(self._data):
+        if chance == 0.0 or single or self._models.varies:
             return False
         front = belief.front_rows()
         if belief.feasible.any():
@@ -163,6 +164,8 @@ class CandidateSearch:
                 return False
             if self.expected_gain(found) < chance / n:
                 return True
+        elif not self._models.trusts_readings(self._data):
+            return False
         told = np.flatnonzero(self._data.highest[: n - self._archive.expected])
         last = int(told[-_PATIENCE]) if len(told) >= _PATIENCE else -1
         if n % 2 or last < self._archive.initial_evaluations or (front >= last).any():
