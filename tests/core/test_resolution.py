@@ -11,7 +11,14 @@ import pytest
 
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.core.dataset import Dataset
-from mobo_tuner.core.resolution import SAME, grid_steps, readings_differ, taken
+from mobo_tuner.core.resolution import (
+    SAME,
+    grid_steps,
+    is_repeated,
+    readings_agree,
+    readings_differ,
+    taken,
+)
 
 Move = Callable[[dict[str, float]], dict[str, float]]
 
@@ -165,3 +172,24 @@ def test_where_the_noise_is_known_a_setpoint_may_be_measured_again() -> None:
         optimizer.tell(setpoint, {"f": (10.0 * setpoint["x"] + rng.normal(0.0, 1.0), 1.0)})
     places = np.round([e.setpoint["x"] for e in optimizer.dataset.evaluations], 3)
     assert 1 < np.unique(places, return_counts=True)[1].max() < 15
+
+
+def test_what_was_measured_again_says_whether_the_machine_is_noisy() -> None:
+    data = Dataset(
+        Problem.from_dict(
+            {
+                "variables": {"a": {"min": 0.0, "max": 1.0}},
+                "objectives": {name: {"reference": 60.0} for name in "fg"},
+            }
+        )
+    )
+
+    def told(a: float, **outputs: float) -> tuple[bool, bool, bool]:
+        data.add({"a": a}, outputs)
+        return is_repeated(data), readings_agree(data), readings_differ(data)
+
+    assert told(0.2, f=1.0, g=5.0) == (False, False, False)
+    assert told(0.7, f=3.0, g=6.0) == (False, False, False)
+    assert told(0.2, f=1.0) == (True, False, False)  # nothing is known of g yet
+    assert told(0.7, f=3.0, g=6.0) == (True, True, False)
+    assert told(0.2, f=1.1, g=5.0) == (True, False, True)

@@ -16,6 +16,7 @@ from mobo_tuner.core.linear_algebra import single_blas_thread
 from mobo_tuner.core.models import Models
 from mobo_tuner.core.prior_mean import Prior
 from mobo_tuner.core.problem import Array, Problem, ProblemError, as_float
+from mobo_tuner.core.resolution import SAME
 from mobo_tuner.core.settings import OptimizerSettings
 
 _LONGEST_START = 4  # evaluations, as a multiple of the initial design, while most of them fail
@@ -121,6 +122,9 @@ class Archive:
             predicted = self.models.predicted(points, lacks)
             for row, setpoint in enumerate(setpoints):
                 read = {name: float(means[row]) for name, means in predicted.items()}
+                former = self._complete_at(points[row])
+                if former is not None and self.is_certain:  # the machine reads the same again
+                    read = {name: former.value(name) for name in read}
                 other.dataset.add(setpoint, read, failed=False)
             other.expected += len(setpoints)
             other.models = self.models.expecting(other.dataset)
@@ -128,6 +132,12 @@ class Archive:
             if other.problem.has_references:
                 other._pack(other.models.trained_rows)
         return other
+
+    def _complete_at(self, point: Array) -> Evaluation | None:
+        """Return the last complete evaluation at a point ``(d,)``."""
+        data = self.dataset
+        same = (np.abs(data.targets - point) <= SAME).all(axis=1) & data.complete & data.valid
+        return data.evaluations[np.flatnonzero(same)[-1]] if same.any() else None
 
     def _infer_references(self) -> None:
         """Fill in what the reference point lacks, once and for all, when the initial design is done."""

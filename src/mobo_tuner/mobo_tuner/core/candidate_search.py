@@ -10,6 +10,7 @@ from operator import mul
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import cdist
 
 from mobo_tuner.core.acquisition import (
     ACQUISITION_FUNCTIONS,
@@ -95,6 +96,9 @@ class CandidateSearch:
         unconfirmed = self._unconfirmed()
         if unconfirmed is not None:
             return unconfirmed
+        repetition = self._repetition()
+        if repetition is not None:
+            return repetition
         acquisition = self.acquisition_function(tails=False)
         if acquisition is None:
             return self._explored(rng)
@@ -210,6 +214,25 @@ class CandidateSearch:
             return True
         later = set(np.flatnonzero(self._data.valid[looked[-1] + 1 :]) + looked[-1] + 1)
         return suspected.issuperset(looked) and bool(later - suspected)
+
+    def _repetition(self) -> Array | None:
+        """Return a set-point to measure again ``(d,)``, if that shows whether the machine is noisy.
+
+        It is the one of the front that is farthest from all others, of all if none is on it: whatever there
+        is of luck in its reading, no other reading shows it.
+        """
+        data = self._data
+        if self._settings.training == "adam" or not self._models.should_repeat(data):
+            return None
+        rows = self._archive.belief.front_rows()
+        if len(rows) == 0:
+            rows = np.flatnonzero(data.valid)
+        rows = rows[self._problem.domain.contains(data.targets[rows])]  # bounds may have changed
+        if len(rows) == 0:
+            return None
+        distances = cdist(data.inputs[rows], data.inputs)
+        distances[np.arange(len(rows)), rows] = np.inf
+        return np.asarray(data.targets[rows[distances.min(axis=1).argmax()]])
 
     def _nearer_limits(self) -> BoolArray:
         """Return which evaluations have a suspected reading that lacks less of a constraint than believed ``(n,)``."""

@@ -210,6 +210,10 @@ class Models:
         """Return whether a reading counts as it is: the machine neither varies nor is noisy."""
         return not (self.varies or self._steadiness.is_noisy(data, self._outputs))
 
+    def should_repeat(self, data: Dataset) -> bool:
+        """Return whether a set-point should be measured again to find out whether the machine is noisy."""
+        return not (self.varies or self._problem.fidelity) and self._steadiness.should_repeat(data)
+
     def extended(self, data: Dataset, at_once: bool = False) -> Models:
         """Return models that know all of `data`, with the hyperparameters of the last training.
 
@@ -318,7 +322,7 @@ class Models:
         count, inputs = self._count(data), self._context.inputs(data)
         trained = train
         begin = time.monotonic()
-        noisy = self._steadiness.learns_noise
+        noisy = self._steadiness.learns_noise(data)
         look = train and (look or restarts is None or count <= _FEW)
         for position, output in enumerate(self._outputs.values()):
             if train and self._context.fidelities:
@@ -361,7 +365,7 @@ class Models:
             self._steadiness = self._steadiness.with_noise_of(
                 [output.process for output in self._outputs.values()], deadline
             )
-            if self._steadiness.learns_noise and not noisy and not self._is_hurried:
+            if self._steadiness.learns_noise(data) and not noisy and not self._is_hurried:
                 return self._learn(data, train, restarts, again=True)
         if train:
             self.by_parts = better_by_parts(self._compositions, self._outputs, data, inputs)
@@ -443,6 +447,7 @@ class Models:
             "judged": self._judged,
             "outdated": self._outdated,
             "noisy": self._steadiness.is_noisy_by_evidence,
+            "may_be_noisy": self._steadiness.may_be_noisy,
             "drift_evidence": self._steadiness.drift_evidence,
             "context": self._context.get_state(),
             "apart": sorted(name for name, output in self._outputs.items() if output.is_apart),
@@ -468,6 +473,7 @@ class Models:
         self._steadiness = replace(
             self._steadiness,
             is_noisy_by_evidence=bool(state["noisy"]),
+            may_be_noisy=bool(state.get("may_be_noisy", False)),
             drift_evidence=float(state["drift_evidence"]),
         )
         for name, output in self._outputs.items():

@@ -107,18 +107,36 @@ def _common_divisor(a: float, b: float) -> float:
 
 def readings_differ(data: Dataset) -> bool:
     """Return whether a required diagnostic read differently at one and the same place."""
+    return any(differ for differ in _differences(data) if differ is not None)
+
+
+def readings_agree(data: Dataset) -> bool:
+    """Return whether every required diagnostic was measured again at some place, and read the same."""
+    differences = _differences(data)
+    return bool(differences) and all(differ is False for differ in differences)
+
+
+def is_repeated(data: Dataset) -> bool:
+    """Return whether a set-point was sent to the machine twice, be it that an evaluation failed there."""
+    targets = np.round(np.hstack([data.targets, data.lacks]) / SAME)
+    return len(np.unique(targets, axis=0)) < len(targets)
+
+
+def _differences(data: Dataset) -> list[bool | None]:
+    """Return whether each required diagnostic differs at one place; None if it was measured twice nowhere."""
     inputs = np.round(np.hstack([data.inputs, data.lacks]) / SAME)
     if len(np.unique(inputs, axis=0)) == len(inputs):
-        return False
+        return []
+    differences: list[bool | None] = []
     for name in data.problem.required_diagnostics:
         values = data.column(name)
         rows = np.flatnonzero(np.isfinite(values))
         places, place = np.unique(inputs[rows], axis=0, return_inverse=True)
         if len(places) == len(rows) or len(rows) == 0:
+            differences.append(None)
             continue
         least, most = np.full(len(places), np.inf), np.full(len(places), -np.inf)
         np.minimum.at(least, place.ravel(), values[rows])
         np.maximum.at(most, place.ravel(), values[rows])
-        if ((most - least) > SAME * np.ptp(values[rows])).any():
-            return True
-    return False
+        differences.append(bool(((most - least) > SAME * np.ptp(values[rows])).any()))
+    return differences

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from mobo_tuner.core.dataset import Dataset
 from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.problem import Array
-from mobo_tuner.core.resolution import readings_differ
+from mobo_tuner.core.resolution import is_repeated, readings_agree, readings_differ
 
 _NOISY = 11.0  # log evidence from which on the machine is taken for noisy
 _CLEARLY_NOISY = 5.0  # the same of outputs whose noise is plain to see
@@ -18,7 +18,9 @@ _AGREED = (
 )
 _AGREES = 2.0  # log evidence of all outputs but the first one, from which on several show it
 _FEWEST = 15  # readings of an output from which on that counts
+_MAY_AGREE = 1.0  # the same from which on several may show it
 _STILL_NOISY = 0.0  # the same of a machine that was taken for noisy before
+_LIKELY = 4.0  # log evidence from which on it is worth an evaluation to find out
 _DRIFTS = 10.0  # log evidence from which on the machine is taken to drift
 
 
@@ -30,12 +32,14 @@ class Steadiness:
         noise: Setting of the noise.
         drift: Setting of the drift.
         is_noisy_by_evidence: Whether the evidence says that there is noise, as of the last training.
+        may_be_noisy: Whether the evidence leaves it open, so that a set-point should be measured again.
         drift_evidence: Log evidence of drift at the last training.
     """
 
     noise: str | float
     drift: str
     is_noisy_by_evidence: bool = False
+    may_be_noisy: bool = False
     drift_evidence: float = 0.0
 
     @property
@@ -43,15 +47,24 @@ class Steadiness:
         """Whether the machine changes with time."""
         return self.drift == "on" or (self.drift == "auto" and self.drift_evidence > _DRIFTS)
 
-    @property
-    def learns_noise(self) -> bool:
-        """Whether the noise is learned and the evidence says that there is some."""
-        return isinstance(self.noise, str) and self.is_noisy_by_evidence
+    def learns_noise(self, data: Dataset) -> bool:
+        """Return whether the noise is learned and there is some.
+
+        What was measured again says so for sure; else the evidence decides.
+
+        Args:
+            data: Evaluations.
+        """
+        if not isinstance(self.noise, str):
+            return False
+        known = data.once(readings_differ)
+        return known or (self.is_noisy_by_evidence and not data.once(readings_agree))
 
     def is_noisy(self, data: Dataset, outputs: Collection[str]) -> bool:
         """Return whether the machine is noisy: as was said or told, or by the evidence.
 
-        Evidence is that readings differ at one place, or that no noiseless function explains them.
+        Evidence is that readings differ at one place, or that no noiseless function explains them, unless
+        every output was measured again somewhere and read the same.
 
         Args:
             data: Evaluations.
@@ -61,7 +74,17 @@ class Steadiness:
             return True
         if any((data.stddev_column(name) > 0.0).any() for name in outputs):
             return True
-        return self.learns_noise or (isinstance(self.noise, str) and data.once(readings_differ))
+        return self.learns_noise(data)
+
+    def should_repeat(self, data: Dataset) -> bool:
+        """Return whether a set-point should be measured again to find out whether the machine is noisy.
+
+        Args:
+            data: Evaluations.
+        """
+        # At even numbers only, so that others are asked for where a client does not measure this one.
+        doubtful = self.may_be_noisy and isinstance(self.noise, str) and len(data) % 2 == 0
+        return doubtful and not (data.once(is_repeated) or data.once(readings_differ))
 
     def with_noise_of(self, processes: Iterable[GaussianProcess], deadline: float) -> Steadiness:
         """Return the steadiness with the evidence of noise in all outputs.
@@ -84,7 +107,10 @@ class Steadiness:
         agreed = n >= _FEWEST and evidence - most > _AGREES
         least = _AGREED if agreed or self.is_noisy_by_evidence else _NOISY
         least_clear = _STILL_NOISY if self.is_noisy_by_evidence else _CLEARLY_NOISY
-        return replace(self, is_noisy_by_evidence=evidence > least or clear > least_clear)
+        is_noisy = evidence > least or clear > least_clear
+        several = evidence - most > _MAY_AGREE or self.is_noisy_by_evidence
+        is_open = not is_noisy and several and n >= _FEWEST and evidence > _LIKELY
+        return replace(self, is_noisy_by_evidence=is_noisy, may_be_noisy=is_open)
 
     def with_drift_of(
         self, processes: Iterable[tuple[GaussianProcess, Array]], timed: bool, deadline: float
