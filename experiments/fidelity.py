@@ -9,7 +9,9 @@ evaluations at the highest fidelity.
     toy       the paper's toy problem; warped and scaled, correlation 0.92 and 0.97
     beam      the surrogate of the injector, which cheap evaluations take for one with 36 instead of 40 nC
     injector  the particle-in-cell simulation with meshes of 8, 12 and 24 nodes and their numbers of particles
+    i_beam, truss, dtlz7, osy   published problems; one smooth wave is the bias of each objective and constraint
 
+No choice of the strategy was made on the last four: they were run once, with the strategy of now.
 With `--hostile`, what is cheap has nothing to do with the objectives.
 
     python -m experiments.fidelity branin dtlz2 --seeds 5
@@ -30,11 +32,13 @@ import numpy as np
 
 from awa_sim_node.simulation.injector import SCREEN, Injector, Resolution, Settings
 from awa_sim_node.surrogate import Surrogate
+from experiments.peers.problems import PROBLEMS as PUBLISHED
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.core.pareto import FloatArray
 
 CONFIG = Path(__file__).resolve().parent.parent / "config" / "fidelity.yaml"
 _SHARE = 0.1  # cost of the cheapest fidelity of the analytic problems
+_BIAS = 0.15  # of a published problem, as a share of the spread
 _MOST = 1.5  # of the cost of the run at the highest fidelity, after which a run is given up
 
 Function = Callable[[FloatArray, float], FloatArray]
@@ -148,12 +152,45 @@ def beam(hostile: bool) -> Simulated:
     return Simulated(Problem.from_dict(definition), Surrogate.load().predict, 40)
 
 
+def published(name: str, hostile: bool) -> Simulated:
+    """Return a published problem whose fidelity is 0 or 1; at 0, each output has a wave as its bias.
+
+    The wave is as high as a share of the spread of the output at random points, and smooth.
+    """
+    if hostile:
+        raise SystemExit(f"{name} has no hostile fidelity")
+    benchmark = PUBLISHED[name]()
+    plain, rng = benchmark.problem, np.random.default_rng(0)
+    definition: dict[str, Any] = plain.to_dict()
+    definition["fidelity"] = {
+        "s": {"choices": [0.0, 1.0]},
+        "cost": f"{_SHARE} + {1.0 - _SHARE} * s",
+    }
+    d, names = len(plain.variables), plain.required_diagnostics
+    drawn = [benchmark.measure(plain.denormalize(x)) for x in rng.uniform(-1.0, 1.0, (500, d))]
+    spreads = {n: np.subtract(*np.quantile([m[n] for m in drawn], [0.75, 0.25])) for n in names}
+    waves = {n: (rng.standard_normal(d), rng.uniform(0.0, 2.0 * np.pi)) for n in names}
+
+    def simulate(setpoint: Mapping[str, float]) -> Mapping[str, float]:
+        place = {n: v for n, v in setpoint.items() if n != "s"}
+        outputs, x = benchmark.measure(place), plain.normalize(place)
+        if setpoint["s"] == 1.0:
+            return outputs
+        return {
+            n: outputs[n] + _BIAS * spreads[n] * math.sin(float(wave @ x) + phase)
+            for n, (wave, phase) in waves.items()
+        }
+
+    return Simulated(Problem.from_dict(definition), simulate, 30)
+
+
 PROBLEMS: Mapping[str, Callable[[bool], Simulated]] = {
     "branin": partial(analytic, branin_currin, 2, [300.0, 18.0], 15),
     "dtlz2": partial(analytic, dtlz2, 6, [2.0, 2.0, 2.0], 40),
     "toy": partial(analytic, toy, 2, [4.3, 4.3], 15),
     "beam": beam,
     "injector": injector,
+    **{name: partial(published, name) for name in ("i_beam", "truss", "dtlz7", "osy")},
 }
 
 

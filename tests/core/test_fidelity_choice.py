@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.core.fidelity_choice import choose_fidelity
+from mobo_tuner.core.fidelity_choice import choose_fidelity, times_served
 from tests.core.test_fidelity import DEFINITION, SIMPLE, run, simulate
 
 
@@ -118,3 +118,23 @@ def test_a_biased_fidelity_is_learned_from() -> None:
         optimizer.tell(setpoint, simulate(setpoint))
     optimizer.ask()
     assert [model.n for model in optimizer.archive.models.objectives] == [24, 24]
+
+
+def test_knowledge_serves_more_evaluations_where_many_variables_agree() -> None:
+    times = {}
+    for count, relation in ((6, "alike"), (6, "unrelated"), (2, "alike")):
+        definition = {
+            **SIMPLE,
+            "variables": {f"x{i}": {"min": 0.0, "max": 1.0} for i in range(count)},
+        }
+        optimizer = Optimizer(Problem.from_dict(definition), seed=1)
+        rng = np.random.default_rng(0)
+        for i in range(30):
+            place, s = rng.random(count), float(i % 3 == 0)
+            plain = {"f": float(place.sum()), "g": float(np.square(place - 0.3).sum())}
+            waves = {name: math.sin(40.0 * place[0] + k) for k, name in enumerate("fg")}
+            setpoint = {f"x{i}": float(x) for i, x in enumerate(place)} | {"s": s}
+            optimizer.tell(setpoint, waves if s == 0.0 and relation == "unrelated" else plain)
+        optimizer.ask()
+        times[count, relation] = times_served(optimizer.archive, np.array([[1.0]]))
+    assert times == {(6, "alike"): 3.0, (6, "unrelated"): 1.0, (2, "alike"): 1.0}

@@ -62,7 +62,7 @@ def write_run(
     )
     with Journal.create(folder, [to_json(start)]) as journal:
         for record in evaluations:
-            names = start.problem.variable_names
+            names = start.problem.setpoint_names
             if problem is not None and record["setpoint"].keys() != {*names}:
                 record = record | {"setpoint": dict.fromkeys(names, 0.0)}
             journal.append(record)

@@ -22,6 +22,7 @@ from mobo_tuner.runs.report import plots
 from mobo_tuner.runs.report.comparison import render_comparison
 from mobo_tuner.runs.report.models import model_facts
 from mobo_tuner.runs.report.page import duration, failures, number, render_page
+from mobo_tuner.runs.report.summary import summarize
 from robustness.offline_run import OfflineRun, toy, toy_optimizer
 from tests.support.run_folders import TWO, evaluation, seven_objectives, write_run
 
@@ -166,6 +167,25 @@ def test_the_summary_in_words(mixed: Path) -> None:
     assert "The run made 8 evaluations in 17 min" in text
     assert "6 evaluations met every constraint, 1 failed, and 1 broke a constraint" in text
     assert "The Pareto front has 3 points" in text
+
+
+def test_what_each_fidelity_cost_is_told_and_a_cheaper_evaluation_breaks_no_constraint(
+    tmp_path: Path,
+) -> None:
+    problem = {**TWO, "fidelity": {"mesh": {"choices": [8, 24]}, "cost": "mesh ** 2 / 576"}}
+    values = {"f1": 5.0, "f2": 5.0}
+    made = [
+        evaluation(i, values, setpoint={"x1": 0.5 * i, "mesh": mesh}, feasible=mesh == 24.0)
+        for i, mesh in enumerate((8.0, 8.0, 8.0, 24.0, 24.0))
+    ]
+    folder = write_run(tmp_path / "run1", made, problem, {"stop_reason": "budget"})
+    text = read(folder)
+    assert "cost as much as 2.33 evaluations" in text
+    assert "3 evaluations with mesh 8 (0.333), 2 evaluations with mesh 24 (2)" in text
+    assert "2 evaluations met every constraint, 0 failed, and 0 broke a constraint" in text
+    fidelities = summarize(RecordedRun.load(folder))["fidelities"]
+    assert [each["level"] for each in fidelities] == [{"mesh": 8.0}, {"mesh": 24.0}]
+    assert [each["evaluations"] for each in fidelities] == [3, 2]
 
 
 def test_a_withdrawn_evaluation_is_neither_failed_nor_on_the_front(mixed: Path) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +30,20 @@ class Cost(Derived):
     @property
     def _where(self) -> str:
         return "fidelity.cost"
+
+
+class Spent(NamedTuple):
+    """What was evaluated at one fidelity.
+
+    Attributes:
+        level: Value of each variable of the fidelity.
+        evaluations: Number of evaluations.
+        cost: Cost of all of them, in evaluations at the highest fidelity.
+    """
+
+    level: dict[str, float]
+    evaluations: int
+    cost: float
 
 
 @dataclass(frozen=True)
@@ -95,6 +111,16 @@ class Fidelity:
     def share(self, level: Mapping[str, float]) -> float:
         """Return the cost of an evaluation as a share of one at the highest fidelity."""
         return float(self._cost(level) / self._costs[-1])
+
+    def spent(self, setpoints: Iterable[Mapping[str, float]]) -> list[Spent]:
+        """Return what evaluations at some set-points cost, by fidelity, the cheapest first.
+
+        Raises:
+            ProblemError: If a value of a set-point is not within its range.
+        """
+        counts = Counter(tuple(self.of(setpoint).items()) for setpoint in setpoints)
+        spent = [Spent(dict(n), count, count * self.share(dict(n))) for n, count in counts.items()]
+        return sorted(spent, key=lambda each: self.share(each.level))
 
     def lack(self, level: Mapping[str, float]) -> NDArray[np.float64]:
         """Return how far each variable is from its target, as a share of its range, ``(f,)``."""

@@ -19,6 +19,8 @@ from mobo_tuner.core.resolution import SAME
 
 _DRAWS = 64  # of what a cheaper evaluation may read
 _LEAST_AGREEMENT = 0.5  # share of the variance, below which what is cheap replaces no design
+_GOOD_AGREEMENT = 0.8  # above which what is learned serves later evaluations, too
+_VARIABLES_SERVED = 2.0  # for which it then counts once
 _MOST_SPENT = 1.0  # on cheaper evaluations since the last one at the highest fidelity, in its cost
 
 
@@ -55,9 +57,9 @@ def choose_fidelity(archive: Archive, fidelity: Fidelity, x: Array, seed: int) -
     At the highest fidelity, an evaluation gains the expected improvement v itself. A cheaper one gains
     knowledge: after it, the candidate promises w in place of v, and another one is taken, which promised
     about as much, where w is less. The expected gain of that is E max(w - v, 0), by draws of what it may
-    read. What gains most for its cost is chosen. The highest fidelity is also chosen if so much was spent
-    on cheaper evaluations since the last one there as one there costs: whatever the models believe of the
-    cheaper ones, at most twice the cost is spent.
+    read, as often as it serves (`times_served`). What gains most for its cost is chosen. The highest fidelity
+    is also chosen if so much was spent on cheaper evaluations since the last one there as one there costs:
+    whatever the models believe of the cheaper ones, at most twice the cost is spent.
 
     Args:
         archive: Evaluations and models of the last update.
@@ -80,11 +82,27 @@ def choose_fidelity(archive: Archive, fidelity: Fidelity, x: Array, seed: int) -
     normals = rng.standard_normal((_DRAWS, len(foresight)))
     values = _values(archive, foresight, lacks, normals)
     gains = np.maximum(values - values[-1:, :1], 0.0).mean(axis=1)
+    gains *= times_served(archive, lacks[:-1])
     gains[-1] = values[-1, 0]
     if not gains.any():  # nothing is promised anywhere: what is learned counts alone
         gains = np.mean([each.correlations**2 for each in foresight.values()], axis=0)
     rates = np.where(allowed, gains / shares, -math.inf)
     return dict(levels[int(rates.argmax())])
+
+
+def times_served(archive: Archive, lacks: Array) -> float:
+    """Return for how many evaluations at the highest fidelity the knowledge of a cheaper one is worth its gain.
+
+    It is one for every two variables, at least one: the more variables, the more evaluations are still to come
+    that gain from the same knowledge. Where it is not certain that the fidelities agree well, it is one.
+
+    Args:
+        archive: Evaluations and models.
+        lacks: Distances of the lower fidelities from the highest ``(m, f)``.
+    """
+    if _agreement(archive, lacks) < _GOOD_AGREEMENT:
+        return 1.0
+    return max(len(archive.problem.variables) / _VARIABLES_SERVED, 1.0)
 
 
 def _agreement(archive: Archive, lacks: Array) -> float:

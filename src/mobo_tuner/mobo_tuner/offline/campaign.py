@@ -123,7 +123,7 @@ class Campaign(MoboGenerator):
                 self.records.append(self._record(result))
                 self._log.append(self.records[-1])
             self._failed += self.optimizer.dataset.evaluations[-1].failed
-            words = f"hypervolume {self.optimizer.hypervolume:.5g}, {self._failed} failed"
+            words = f"hypervolume {self.optimizer.hypervolume:.5g}{self._at_highest()}, {self._failed} failed"
             self._progress.update(self._task, advance=1, description=words)
             if self._failed == len(self.optimizer.dataset) == _TELLING:
                 reason = self.records[-1].error_msg
@@ -139,6 +139,12 @@ class Campaign(MoboGenerator):
         self._lock.acquire()
         self._progress.stop()
         self._log.append(EndRecord(time.time(), StopReason.CANCELED))
+
+    def _at_highest(self) -> str:
+        """Return how many evaluations are of the highest fidelity, in words; nothing without fidelities."""
+        if self.optimizer.problem.fidelity is None:
+            return ""
+        return f", {np.count_nonzero(self.optimizer.dataset.highest)} at the highest fidelity"
 
     def _record(self, result: Mapping[str, Any]) -> EvaluationRecord:
         """Return the record of the evaluation that was told last."""

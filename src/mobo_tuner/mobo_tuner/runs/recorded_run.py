@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mobo_tuner.core import Optimizer, ProblemError
+from mobo_tuner.core.fidelity import Spent
 from mobo_tuner.core.problem import Array, Problem
 from mobo_tuner.runs.history import History
 from mobo_tuner.runs.journal import JournalError, JsonRecord, read_journal
@@ -149,6 +150,17 @@ class RecordedRun:
     def withdrawn(self) -> BoolArray:
         """Which evaluations an operator withdrew as a whole ``(n,)``."""
         return self.optimizer.dataset.forgotten
+
+    @cached_property
+    def cheaper(self) -> BoolArray:
+        """Which evaluations are of a lower fidelity than the highest ``(n,)``."""
+        return ~self.optimizer.dataset.highest
+
+    @cached_property
+    def spent(self) -> list[Spent]:
+        """What was evaluated at each fidelity, the cheapest first; empty without fidelities."""
+        fidelity = self.problem.fidelity
+        return fidelity.spent(e.setpoint for e in self.evaluations) if fidelity else []
 
     @cached_property
     def feasible(self) -> BoolArray:

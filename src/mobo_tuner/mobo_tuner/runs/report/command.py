@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -96,10 +97,12 @@ def _cells(values: Array, best: Array) -> list[Text]:
 
 
 def _headline(run: RecordedRun) -> Text:
+    cost = math.fsum(spent.cost for spent in run.spent)
+    spent = f" for the cost of {cost:.3g} at the highest fidelity" if run.spent else ""
     text = Text.assemble(
         ("run ", "dim"),
         (run.run_id, "bold"),
-        f"   {counted(len(run.indices), 'evaluation')}, {np.count_nonzero(run.feasible)} feasible, "
+        f"   {counted(len(run.indices), 'evaluation')}{spent}, {np.count_nonzero(run.feasible)} feasible, "
         f"{np.count_nonzero(run.failed)} failed   ({run.stop_reason})\n",
         "hypervolume ",
         (f"{run.hypervolume:.6g}", "bold green"),

@@ -174,9 +174,20 @@ def _in_words(run: RecordedRun, facts: list[ModelFacts]) -> Iterator[str]:
     feasible, failed, withdrawn = (
         int(np.count_nonzero(rows)) for rows in (run.feasible, run.failed, run.withdrawn)
     )
+    cheaper = int(np.count_nonzero(run.cheaper & run.valid))
+    if run.spent:
+        each = [
+            f"{_count(spent.evaluations, 'evaluation')} with "
+            f"{', '.join(f'{name} {value:g}' for name, value in spent.level.items())} ({spent.cost:.3g})"
+            for spent in run.spent
+        ]
+        yield (
+            f"They cost as much as {math.fsum(s.cost for s in run.spent):.3g} evaluations at the highest fidelity, "
+            f"which alone count: {', '.join(each)}."
+        )
     yield (
         f"{_count(feasible, 'evaluation')} met every constraint, {failed} failed, and "
-        f"{n - feasible - failed - withdrawn} broke a constraint or were incomplete."
+        f"{n - feasible - failed - withdrawn - cheaper} broke a constraint or were incomplete."
     )
     if withdrawn:
         yield f"An operator withdrew {_count(withdrawn, 'evaluation')}; nothing was learned from it."

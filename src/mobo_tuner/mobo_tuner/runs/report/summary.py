@@ -61,6 +61,7 @@ def summarize(run: RecordedRun) -> dict[str, Any]:
             | ({"chosen": chosen} if (chosen := run.problem.chosen(point["setpoint"])) else {})
             for point in run.pareto_front
         ],
+        **({"fidelities": [spent._asdict() for spent in run.spent]} if run.spent else {}),
     }
 
 
