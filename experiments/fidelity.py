@@ -11,7 +11,7 @@ evaluations at the highest fidelity.
     injector  the particle-in-cell simulation with meshes of 8, 12 and 24 nodes and their numbers of particles
     i_beam, truss, dtlz7, osy   published problems; one smooth wave is the bias of each objective and constraint
 
-No choice of the strategy was made on the last four: they were run once, with the strategy of now.
+No choice of the strategy was made on the last four.
 With `--hostile`, what is cheap has nothing to do with the objectives.
 
     python -m experiments.fidelity branin dtlz2 --seeds 5
