@@ -18,9 +18,6 @@ from mobo_tuner.page.board import RunBoard
 from mobo_tuner.page.viewer import Table, Viewer, card
 from mobo_tuner.page.words import measured, number, quantity
 
-CHOICE = (
-    """<q-checkbox dense v-model="props.selected" :aria-label="'evaluation ' + props.row['#']" />"""
-)
 STAGNATION = 3  # evaluations without a gain that are worth a word
 TELLING = 8  # points of a front that tell which objectives conflict
 EMPTY: chart_parts.Options = {"series": [], "animation": False}
@@ -182,8 +179,6 @@ class PointsPanel:
             self._table = ui.table(
                 columns=[], rows=[], row_key="#", selection="single", on_select=self._select
             )
-            self._table.add_slot("header-selection", '<span class="unseen">choice</span>')
-            self._table.add_slot("body-selection", CHOICE)
             self._table.on("rowClick", self._click, [[], ["#"], None])
             self._table.classes("point-table").props("dense flat virtual-scroll hide-bottom")
 

@@ -12,10 +12,11 @@ from mobo_tuner.errors import UserError
 from mobo_tuner.page import charts
 from mobo_tuner.page.board import RunBoard
 from mobo_tuner.page.chart_parts import NUMBER
-from mobo_tuner.page.found import CHOICE, EMPTY, show
+from mobo_tuner.page.found import EMPTY, show
 from mobo_tuner.page.history import History, PastRun
 from mobo_tuner.page.viewer import Viewer
 
+CHOICE = """<q-checkbox dense v-model="props.selected" :aria-label="'run ' + props.row.run_id" />"""
 MAX_COMPARED = 20  # runs on one plot
 
 _COLUMNS = (
@@ -61,10 +62,7 @@ class HistoryPanel:
             pagination=12,
         )
         self._table.add_slot("header-selection", '<span class="unseen">choice</span>')
-        self._table.add_slot(
-            "body-selection",
-            CHOICE.replace("'evaluation ' + props.row['#']", "'run ' + props.row.run_id"),
-        )
+        self._table.add_slot("body-selection", CHOICE)
         self._table.classes("history-table").props("dense flat")
 
     async def read(self) -> None:

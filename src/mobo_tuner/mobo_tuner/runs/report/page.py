@@ -31,7 +31,7 @@ _PLAIN = {
     StopReason.STAGNATION: "its last evaluations gained next to nothing",
     StopReason.LITTLE_EXPECTED: "the next evaluation was expected to gain next to nothing",
     StopReason.STOPPED: "it was stopped",
-    StopReason.CANCELED: "it was cancelled",
+    StopReason.CANCELED: "it was canceled",
     StopReason.ERROR: "an error ended it",
     UNFINISHED: "it has not ended, or was killed",
 }
