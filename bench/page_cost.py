@@ -229,7 +229,7 @@ def measure(rounds: int, evaluations: int, speed: float, scratch: Path) -> Resul
             processor[kind].append(each)
             print(f"{kind}: {len(course.evaluations)} evaluations in all", flush=True)
         with TunerClient(domain_id=domain.id) as other:
-            other.cancel()
+            other.cancel_any()
         runner.join(EVALUATION_TIMEOUT)
     return Result(course.evaluations, processor)
 
