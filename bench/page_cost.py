@@ -35,6 +35,7 @@ from robustness.processes import NodeProcess, exit_at_sigterm
 CONFIG = Path(__file__).resolve().parents[1] / "config" / "awa.yaml"
 VIEWERS = 3
 EVALUATION_TIMEOUT = 60.0  # [s]
+WARM_UP = 4  # set-points of the models before the first phase
 WITHOUT, UNSEEN, SEEN = "without the page", "page, no viewer", f"page, {VIEWERS} viewers"
 KINDS = (WITHOUT, UNSEEN, SEEN)
 BROWSER = "chrom"  # in the names of its processes
@@ -82,16 +83,19 @@ class Course:
 
     Attributes:
         kind: Kind of the active phase; None while the page opens or closes.
+        suggested: Number of set-points of the models, which the initial design and the time to compile come before.
     """
 
     def __init__(self, speed: float) -> None:
         self.kind: str | None = None
+        self.suggested = 0
         self.evaluations: list[Noted] = []
         self._machine = SimulatedMachine("awa", "ideal", seed=0)
         self._speed = speed
 
     def note(self, evaluation: Evaluation) -> None:
         """Take over an evaluation."""
+        self.suggested += evaluation.source == "model"
         settling = self._machine.move(evaluation.setpoint)
         self._machine.step(settling)
         beam = self._machine.behaviour.beam
@@ -213,7 +217,8 @@ def measure(rounds: int, evaluations: int, speed: float, scratch: Path) -> Resul
             daemon=True,
         )
         runner.start()
-        course.wait_for(1)
+        while course.suggested < WARM_UP:
+            course.wait_for(1)
         for kind in (*KINDS, *reversed(KINDS)) * rounds:
             with ExitStack() as opened:
                 processes = dict(nodes)
