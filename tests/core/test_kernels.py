@@ -5,6 +5,7 @@ from scipy.optimize import approx_fprime, check_grad
 
 from mobo_tuner.core.kernels import (
     KERNELS,
+    Matern52Full,
     RBFFull,
     as_inputs,
     precision_from_hessian,
@@ -40,6 +41,10 @@ def test_factor_makes_the_equation_of_the_docstring(name):
         triangle = np.zeros((3, 3))
         triangle[np.triu_indices(3)] = parameters[:6]
         precision = triangle @ triangle.T + np.diag(np.exp(parameters[6:]))
+    elif isinstance(kernel, Matern52Full):
+        a, b, c = parameters[3:]
+        factor = np.diag(np.exp(-parameters[:3])) @ [[1, a, b], [a, 1, c], [b, c, 1]]
+        precision = factor @ factor.T
     else:
         precision = np.diag(np.broadcast_to(np.exp(-2.0 * parameters), 3))
     scaled = x @ kernel.factor(parameters)
@@ -98,7 +103,7 @@ def test_the_penalty_is_that_of_students_t(name):
         np.testing.assert_allclose(gradient, numeric, rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["rbf", "matern52", "rbf_full"])
+@pytest.mark.parametrize("name", ["rbf", "matern52", "matern52_full", "rbf_full"])
 @pytest.mark.parametrize("d", [1, 6, 20])
 def test_random_points_are_as_alike_in_any_number_of_variables(name, d):
     kernel = KERNELS.find(name)(d)

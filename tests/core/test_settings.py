@@ -80,12 +80,12 @@ def tune(evaluations: int, **choices: Any) -> Optimizer:
         ({"suggestion_seconds": "5"}, "suggestion_seconds", "'5'"),
         ({"suggestion_seconds": True}, "suggestion_seconds", "True"),
         ({"suggestion_seconds": math.nan}, "suggestion_seconds", "nan"),
-        ({"length_scales": (1, 2, 3)}, "kernel is 'matern52': length_scales", "got 3"),
+        ({"length_scales": (1, 2, 3)}, "kernel is 'matern52_full': length_scales", "got 3"),
         ({"length_scales": (1, 2), "kernel": "rbf_isotropic"}, "kernel is", "got 2"),
         ({"length_scales": (1, 2, 3), "kernel": "rbf_full"}, "kernel is", "got 3"),
         ({"length_scales": "1"}, "length_scales", "'1'"),
         ({"precision": np.eye(3), "kernel": "rbf_full"}, "kernel is", "got 3 rows"),
-        ({"precision": np.eye(2)}, "kernel is 'matern52': precision", "'rbf_full'"),
+        ({"precision": np.eye(2)}, "kernel is 'matern52_full': precision", "'rbf_full'"),
         ({"variance": "2"}, "variance", "'2'"),
         ({"noise": True}, "noise", "True"),
         ({"mean": "0"}, "mean", "'0'"),
@@ -215,5 +215,5 @@ def test_presets_differ_only_where_the_paper_says_so() -> None:
 
 def test_what_can_be_chosen_has_the_names_of_the_manual() -> None:
     assert list(ACQUISITION_FUNCTIONS) == ["ei", "ucb", "ehvi", "ucb_hvi"]
-    assert list(KERNELS) == ["rbf", "rbf_isotropic", "matern52", "rbf_full"]
+    assert list(KERNELS) == ["rbf", "rbf_isotropic", "matern52", "matern52_full", "rbf_full"]
     assert list(MAXIMIZERS) == ["particle_swarm", "multi_start"]

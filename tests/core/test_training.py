@@ -11,14 +11,16 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteK
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
 from mobo_tuner.core.kernels import KERNELS
 from mobo_tuner.core.training import (
+    CLEAR_EVIDENCE,
     NegativeLogPosterior,
     held_parameters,
     train,
     train_adam,
     train_lbfgs,
+    train_optional,
 )
 
-NAMES = ["rbf_isotropic", "rbf", "rbf_full", "matern52"]
+NAMES = ["rbf_isotropic", "rbf", "rbf_full", "matern52", "matern52_full"]
 
 
 def _data(n=12, d=3, seed=0):
@@ -178,6 +180,31 @@ def test_one_observation_teaches_nothing():
     x, z = np.zeros((1, 2)), np.ones(1)
     parameters = train(settings, kernel, 1.0, x, z, 0.0 * z, None, np.random.default_rng(0), 2)
     np.testing.assert_allclose(np.exp(parameters), [np.sqrt(2.0), np.sqrt(2.0), 1.0, 1e-4])
+
+
+@pytest.mark.parametrize("n", [40, 160])
+@pytest.mark.parametrize("together", [True, False])
+def test_variables_that_act_together_are_found_and_others_are_left_alone(n, together):
+    rng = np.random.default_rng(1)
+    x = rng.uniform(-1, 1, (n, 3))
+    a, b, c = x.T
+    z = np.sin(3.0 * (a - b)) + 0.3 * c if together else np.sin(3.0 * a) + np.cos(2.0 * b) + 0.3 * c
+    settings, kernel = GaussianProcessSettings(), KERNELS.find("matern52_full")(3)
+    data = (settings, kernel, 1.0, x, z, 0.0 * z)
+    plain = train(*data, None, rng, 1)
+    assert not plain[3:6].any()
+    found = train_optional(*data, plain, None)
+    if not together:
+        assert found is plain
+        return
+    factor = kernel.factor(found[:-2])
+    precision = factor @ factor.T
+    assert precision[0, 1] < -0.6 * np.sqrt(precision[0, 0] * precision[1, 1])
+    objective = NegativeLogPosterior(kernel, x, z, 0.0 * z, weak_prior=True)
+    assert n * (objective(plain)[0] - objective(found)[0]) > CLEAR_EVIDENCE
+    again = train_optional(*data, plain, found)
+    np.testing.assert_allclose(again[3:6], found[3:6], atol=0.1)
+    assert train_optional(*data, plain, None, deadline=0.0) is plain
 
 
 def test_a_training_stops_at_its_deadline_with_the_best_so_far() -> None:

@@ -82,7 +82,7 @@ def test_another_file_is_taken_as_it_is(folder: Path) -> None:
         {},
         {"seed": 5},
         {"preset": "default"},
-        {"kernel": "matern52", "proximal": None, "beta": 0.01, "max_attempts": 7},
+        {"kernel": "matern52_full", "proximal": None, "beta": 0.01, "max_attempts": 7},
         {"maximizer_settings": {"screened": 512, "overshoot": 1.5}},
     ],
     ids=str,

@@ -37,7 +37,7 @@ def test_what_is_not_given_is_as_the_preset_says(name: str) -> None:
 def test_choices_replace_those_of_the_preset() -> None:
     section = {
         "preset": "paper",
-        "kernel": "matern52",
+        "kernel": "matern52_full",
         "beta": "schedule",
         "noise": 1,
         "proximal": [1, 2, 3],
@@ -45,7 +45,7 @@ def test_choices_replace_those_of_the_preset() -> None:
         "suggestion_seconds": None,
     }
     method = method_of(check_tuner(section))
-    assert (method.kernel, method.beta, method.noise) == ("matern52", "schedule", 1.0)
+    assert (method.kernel, method.beta, method.noise) == ("matern52_full", "schedule", 1.0)
     assert method.proximal == (1.0, 2.0, 3.0)
     assert method.make_maximizer() == ParticleSwarm(generations=20)
     assert method.training == "adam"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mobo_tuner.core.kernels import SHORTEST_LENGTH_SCALE, Kernel, ShapePrior
 from mobo_tuner.core.linear_algebra import FloatArray
@@ -37,6 +38,11 @@ class Contextual(Kernel):
         """Return the kernel of all inputs but the last one."""
         others = self.contexts - 1
         return Contextual(self.settable, others) if others else self.settable
+
+    @property
+    def optional(self) -> NDArray[np.bool_]:
+        """Those of the other kernel."""
+        return np.append(self.settable.optional, np.zeros(self.contexts, dtype=np.bool_))
 
     def profile(self, squared_distance: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the profile and the slope of the other kernel."""

@@ -12,13 +12,13 @@ from mobo_tuner.core.context_kernel import Contextual
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
 from mobo_tuner.core.kernels import Kernel
 from mobo_tuner.core.linear_algebra import FloatArray
-from mobo_tuner.core.posterior import Posterior
 from mobo_tuner.core.training import (
     CLEAR_NOISE,
     SUBSET,
     TOLERANCE,
     NegativeLogPosterior,
     held_parameters,
+    left_out_gain,
     train_lbfgs,
 )
 
@@ -73,7 +73,7 @@ def noise_evidence(
     )
     n = len(objective.z)
     bounds = objective.bounds(float(np.exp(_NEGLIGIBLE_NOISE)))
-    free = np.ones(len(parameters), dtype=np.bool_)
+    free = ~np.append(kernel.optional & (parameters[:-2] == 0.0), [False, False])
     default = objective.default_parameters()
     noisy, noiseless = (
         np.array([np.append(p[:-1], noise) for p in (parameters, default)])
@@ -96,7 +96,7 @@ def noise_evidence(
         return NoiseEvidence(most, False)
     free[-1] = False
     noiseless_best, without = train_lbfgs(objective, noiseless, bounds, free, tolerance, _STEPS)
-    gain = _gain(objective, noisy_best, objective, noiseless_best)
+    gain = left_out_gain(objective, noisy_best, objective, noiseless_best)
     # Readings that are exactly alike in many places are those of a plateau, not of noise.
     alike = np.unique(z, return_counts=True)[1].max() > _PLATEAU * len(z)
     return NoiseEvidence(
@@ -159,25 +159,4 @@ def drift_evidence(
     constant, without = best(steady, [plain, clear], np.delete(free, at))
     if n * (without - with_time) <= 0.0:
         return n * (without - with_time)
-    return min(n * (without - with_time), _gain(timed, changing, steady, constant))
-
-
-def _gain(
-    objective: NegativeLogPosterior,
-    parameters: FloatArray,
-    other: NegativeLogPosterior,
-    other_parameters: FloatArray,
-) -> float:
-    """Return the gain in the left-out log densities over those of another model, at most one for each."""
-    densities = [
-        Posterior(
-            model.kernel,
-            p[:-2],
-            float(np.exp(p[-2])),
-            model.x,
-            model.z,
-            float(np.exp(p[-1])) + model.extra,
-        ).leave_one_out_log_density
-        for model, p in ((objective, parameters), (other, other_parameters))
-    ]
-    return float(np.clip(densities[0] - densities[1], -1.0, 1.0).sum())
+    return min(n * (without - with_time), left_out_gain(timed, changing, steady, constant))

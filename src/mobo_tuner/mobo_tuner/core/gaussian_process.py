@@ -19,7 +19,7 @@ from mobo_tuner.core.output_scaling import LARGEST_OUTPUT, OutputScaling, is_con
 from mobo_tuner.core.output_transform import Logarithm
 from mobo_tuner.core.posterior import Gradients, Posterior
 from mobo_tuner.core.scaling_choice import ScalingChoice
-from mobo_tuner.core.training import train
+from mobo_tuner.core.training import train, train_optional
 
 __all__ = ["GaussianProcess", "GaussianProcessSettings", "LeaveOneOut", "Prediction"]
 
@@ -117,6 +117,7 @@ class GaussianProcess:
         self._one_hot = one_hot
         self.now = np.zeros(contexts)
         self._choice = ScalingChoice(self.settings, reference, mean, mean_gradient, limit)
+        self._is_plain = False
         self._trained: dict[str, FloatArray] = {}
         self._state: _State | None = None
 
@@ -176,21 +177,39 @@ class GaussianProcess:
                     self._trained.get(name),
                     generator,
                     starts,
-                    begin + seconds * (i + 1) / len(scalings),
+                    begin + seconds * (i + 1) / (len(scalings) + 1),
                     noisy,
                 )
                 self._trained[name] = parameters
                 model = _Model(name, scaling, parameters)
                 states.append(self._condition(kernel, model, inputs, outputs, noise))
-        scores = []
-        for state in states if len(states) > 1 else ():
-            self._state = state
-            density = self.leave_one_out().log_density.sum()
-            scaling = state.model.scaling
-            scores.append(
-                self._choice.score(state.model.name, scaling, density, noisy or bool(noise.any()))
-            )
-        self._state = states[int(np.argmax(scores))] if scores else states[0]
+            former = None if self._state is None else self._state.model.parameters
+            scores = []
+            for state in states if len(states) > 1 else ():
+                self._state = state
+                density = self.leave_one_out().log_density.sum()
+                name, scaling, _ = state.model
+                scores.append(
+                    self._choice.score(name, scaling, density, noisy or bool(noise.any()))
+                )
+            self._state = states[int(np.argmax(scores))] if scores else states[0]
+            if not self._is_plain:
+                model = self._state.model
+                parameters = train_optional(
+                    self.settings,
+                    kernel,
+                    model.scaling.scale,
+                    seen[part],
+                    model.scaling.standardise(inputs, outputs)[part],
+                    self._known_noise(model.scaling, outputs, noise)[part],
+                    model.parameters,
+                    former,
+                    begin + seconds,
+                    noisy,
+                )
+                if parameters is not model.parameters:
+                    model = model._replace(parameters=parameters)
+                    self._state = self._condition(kernel, model, inputs, outputs, noise)
         return self
 
     def copy(self) -> GaussianProcess:
@@ -369,6 +388,17 @@ class GaussianProcess:
                 np.concatenate([shape, [0.0], model.parameters[-2:]]),
             )
 
+    def plain(self) -> GaussianProcess:
+        """Return a model of the same observations that leaves out what is optional for the kernel, now and later."""
+        other = self.copy()
+        other._is_plain = True
+        model, posterior, y, stddev, x = self._fitted
+        parameters = self._trained[model.name]
+        if not np.array_equal(parameters, model.parameters):
+            model = model._replace(parameters=parameters)
+            other._state = self._condition(posterior.kernel, model, x, y, stddev)
+        return other
+
     def untrained(self) -> GaussianProcess:
         """Return a model with the same settings and no observations."""
         model = GaussianProcess(
@@ -381,6 +411,7 @@ class GaussianProcess:
             limit=self.limit,
         )
         model.now = self.now
+        model._is_plain = self._is_plain
         return model
 
     # What was learned.

@@ -29,7 +29,7 @@ class GaussianProcessSettings:
         ParameterError: If a choice is not allowed, or two do not go together.
     """
 
-    kernel: str = parameter("matern52", "Kernel of the models.", choices=KERNELS)
+    kernel: str = parameter("matern52_full", "Kernel of the models.", choices=KERNELS)
     mean: str | float = parameter(
         "auto",
         "Prior mean: the mean of the data, the reference point, whichever of the two predicts "

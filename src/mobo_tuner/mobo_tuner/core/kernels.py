@@ -24,7 +24,7 @@ from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mobo_tuner.core.linear_algebra import FloatArray
 from mobo_tuner.core.registry import Registry
@@ -34,6 +34,8 @@ LONGEST_LENGTH_SCALE = 100.0
 _LARGEST_TRIANGLE_ENTRY = 20.0
 _LENGTH_SCALE_SPREAD = 0.5  # scale of the prior of the logarithm
 _FREEDOM = 3.0
+_LARGEST_MIXING = 0.8  # two length-scales that differ by (1 + 0.8) / (1 - 0.8) = 9
+_MIXING_SPREAD = 0.2  # scale of the prior of an entry of S
 
 
 class ShapePrior(NamedTuple):
@@ -96,6 +98,11 @@ class Kernel(ABC):
     @abstractmethod
     def pull_back(self, parameters: FloatArray, precision_gradient: FloatArray) -> FloatArray:
         """Return the gradient `(k,)` in the parameters for a gradient `(d, d)` in Lambda."""
+
+    @property
+    def optional(self) -> NDArray[np.bool_]:
+        """Which parameters `(k,)` keep their default until the observations clearly contradict it."""
+        return np.zeros(self.size, dtype=np.bool_)
 
     @abstractmethod
     def default_parameters(self) -> FloatArray:
@@ -261,6 +268,72 @@ class Matern52(RBF):
         value = slope + (5.0 / 3.0) * curvature
         slope *= 5.0 / 3.0
         return value, slope
+
+
+@KERNELS.register("matern52_full")
+class Matern52Full(Matern52):
+    """Matern function of smoothness 5/2 whose precision matrix is full where observations clearly say so.
+
+        k(x, x') = s^2 g(r^2) as for `Matern52`,   Lambda = F F^T,   F = diag(1 / l) (I + S)
+
+    with S symmetric and zero on its diagonal. Where two variables act together, as two solenoids that focus
+    the same beam, the function is steep along one diagonal of their plane and flat along the other; S = 0
+    is `Matern52`. Parameters: `log l`, then the entries of S right of its diagonal row by row, which are
+    optional; `(d (d + 1) / 2,)`.
+    """
+
+    def __init__(self, d: int) -> None:
+        super().__init__(d)
+        self._rows, self._columns = np.triu_indices(d, 1)
+
+    @property
+    def size(self) -> int:
+        """Number of parameters: d length-scales and d (d - 1) / 2 entries of S."""
+        return self.d + len(self._rows)
+
+    @property
+    def optional(self) -> NDArray[np.bool_]:
+        """The entries of S."""
+        return np.arange(self.size) >= self.d
+
+    def factor(self, parameters: FloatArray) -> FloatArray:
+        """Return `diag(1 / l) (I + S)`."""
+        mixing = np.eye(self.d)
+        mixing[self._rows, self._columns] = mixing[self._columns, self._rows] = parameters[self.d :]
+        return np.asarray(np.exp(-parameters[: self.d])[:, None] * mixing)
+
+    def pull_back(self, parameters: FloatArray, precision_gradient: FloatArray) -> FloatArray:
+        """Return the gradient, with that in F, `D = 2 G F`, as `-sum_b F_ab D_ab` and `D_ab / l_a + D_ba / l_b`."""
+        factor = self.factor(parameters)
+        by_factor = 2.0 * precision_gradient @ factor
+        by_mixing = np.exp(-parameters[: self.d])[:, None] * by_factor
+        both = (by_mixing + by_mixing.T)[self._rows, self._columns]
+        return np.concatenate([-(factor * by_factor).sum(axis=1), both])
+
+    def default_parameters(self) -> FloatArray:
+        """Return length-scales of sqrt(d), and S = 0."""
+        scales = np.full(self.d, typical_log_length_scale(self.d))
+        return np.concatenate([scales, np.zeros(len(self._rows))])
+
+    def bounds(self) -> FloatArray:
+        """Return length-scales from 0.05 to 100, and entries of S of at most 0.8.
+
+        At 1 the function would be constant along a diagonal, which a few observations seem to say too often.
+        """
+        scales = np.tile(np.log([SHORTEST_LENGTH_SCALE, LONGEST_LENGTH_SCALE]), (self.d, 1))
+        return np.vstack(
+            [scales, np.tile([-_LARGEST_MIXING, _LARGEST_MIXING], (len(self._rows), 1))]
+        )
+
+    def prior(self) -> ShapePrior:
+        """Return a prior around `typical_log_length_scale`, and a narrow one around S = 0."""
+        spread = np.where(self.optional, _MIXING_SPREAD, _LENGTH_SCALE_SPREAD)
+        return ShapePrior(self.default_parameters(), spread)
+
+    def from_length_scales(self, length_scales: FloatArray) -> FloatArray:
+        """Return the logarithms of the length-scales and S = 0."""
+        scales = Matern52(self.d).from_length_scales(length_scales)
+        return np.concatenate([scales, np.zeros(len(self._rows))])
 
 
 @KERNELS.register("rbf_full")

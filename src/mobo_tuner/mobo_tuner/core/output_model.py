@@ -198,7 +198,7 @@ class OutputModel:
         former = self.suspects[np.isfinite(y[self.suspects])]
         every = np.union1d(self.selected(data, inputs), former)
         found = find_suspects(
-            self.process,
+            self.process.plain(),
             inputs[every],
             y[every],
             stddev[every],

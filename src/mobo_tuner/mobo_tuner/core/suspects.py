@@ -41,7 +41,8 @@ def find_suspects(
     """Return which readings are suspected, as sorted rows; O(n^3) for each one that stands out.
 
     Args:
-        model: Model trained on all readings but the former suspects, in their order.
+        model: Model trained on all readings but the former suspects, in their order; a plain one, which
+            does not bend as easily to a wrong reading.
         x: Normalised inputs ``(n, d)``.
         y: Readings ``(n,)``.
         stddev: Known standard deviations ``(n,)``; NaN where unknown.

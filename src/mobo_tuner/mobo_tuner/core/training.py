@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
 from mobo_tuner.core.kernels import Kernel, squared_distances
 from mobo_tuner.core.linear_algebra import FloatArray, cholesky, inverse_lower
-from mobo_tuner.core.posterior import RELATIVE_JITTER
+from mobo_tuner.core.posterior import RELATIVE_JITTER, Posterior
 
 _NOISE_PRIOR = (float(np.log(1e-4)), 2.0)
 _WIDE_NOISE_PRIOR = (float(np.log(1e-2)), 2.5)
@@ -28,6 +28,8 @@ CLEAR_NOISE = float(np.log(0.03))
 """Logarithm of the variance of noise that is plain to see, as a share of that of the outputs."""
 TOLERANCE = 1e-2
 """Gain in the log likelihood below which a training is done."""
+CLEAR_EVIDENCE = 6.0
+"""Gain in log density from which on optional hyperparameters are used."""
 SUBSET = 128
 """Number of observations on which many starts are compared."""
 
@@ -138,6 +140,27 @@ class NegativeLogPosterior:
     def default_parameters(self) -> FloatArray:
         """Return the start of a first training `(k + 2,)`."""
         return np.append(self.kernel.default_parameters(), [self.log_mean_square, _NOISE_PRIOR[0]])
+
+
+def left_out_gain(
+    objective: NegativeLogPosterior,
+    parameters: FloatArray,
+    other: NegativeLogPosterior,
+    other_parameters: FloatArray,
+) -> float:
+    """Return the gain in the left-out log densities over those of another model, at most one for each."""
+    densities = [
+        Posterior(
+            model.kernel,
+            p[:-2],
+            float(np.exp(p[-2])),
+            model.x,
+            model.z,
+            float(np.exp(p[-1])) + model.extra,
+        ).leave_one_out_log_density
+        for model, p in ((objective, parameters), (other, other_parameters))
+    ]
+    return float(np.clip(densities[0] - densities[1], -1.0, 1.0).sum())
 
 
 def _row_blocks(n: int) -> Iterator[tuple[slice, slice]]:
@@ -280,8 +303,9 @@ def train(
 ) -> FloatArray:
     """Return the hyperparameters `(k + 2,)` for standardised observations, trained as the settings say.
 
-    If there is only one observation, z is all zero, or every hyperparameter is held, there is nothing
-    to learn: the start is returned.
+    Those that are optional for the kernel keep their default, see `train_optional`. If there is only one
+    observation, z is all zero, or every hyperparameter is held, there is nothing to learn: the start is
+    returned.
 
     Args:
         settings: Settings: held values, bounds, kind of training.
@@ -300,6 +324,9 @@ def train(
     held, free = held_parameters(settings, kernel, scale)
     bounds = objective.bounds(settings.minimum_noise)
     default = objective.default_parameters()
+    optional = _optional(kernel)
+    held[optional] = default[optional]
+    free &= ~optional
     start = default if former is None else former
     start = np.where(free, np.clip(start, bounds[:, 0], bounds[:, 1]), held)
     if len(z) < 2 or not free.any() or time.monotonic() > deadline:
@@ -310,7 +337,9 @@ def train(
     if settings.training == "adam":
         steps = settings.adam_steps if former is None else settings.adam_retraining_steps
         return train_adam(objective, start, bounds, free, settings.adam_rate, steps, deadline)[0]
-    drawn = default + _RESTART_SPREAD * rng.standard_normal((restarts, len(start)))
+    drawn = np.tile(default, (restarts, 1))
+    moving = np.flatnonzero(~optional)
+    drawn[:, moving] += _RESTART_SPREAD * rng.standard_normal((restarts, len(moving)))
     starts = np.vstack([start, np.where(free, drawn, held)])
     if noisy and free[-1]:
         clear = np.where(free, np.append(default[:-1], CLEAR_NOISE), held)
@@ -319,6 +348,65 @@ def train(
         starts = _best_start(objective, starts, bounds, free, former is not None, deadline)
     tolerance = TOLERANCE / len(z)
     return train_lbfgs(objective, starts, bounds, free, tolerance, deadline=deadline)[0]
+
+
+def train_optional(
+    settings: GaussianProcessSettings,
+    kernel: Kernel,
+    scale: float,
+    x: FloatArray,
+    z: FloatArray,
+    extra: FloatArray,
+    plain: FloatArray,
+    former: FloatArray | None,
+    deadline: float = np.inf,
+    noisy: bool = False,
+) -> FloatArray:
+    """Return the hyperparameters `(k + 2,)` with the kernel's optional ones trained, if that is clearly better.
+
+    It is if the observations, with the priors, are more probable by `CLEAR_EVIDENCE`, and if they are so when each
+    is predicted from all others and counts for at most one, so that no wild reading decides; else `plain` itself is
+    returned. With more than `SUBSET` observations, a subset of them must say so first.
+
+    Args:
+        settings: Settings, as for `train`.
+        kernel: Covariance function, as for `train`.
+        scale: Size of one unit of z, as for `train`.
+        x: Normalised inputs `(n, d)`.
+        z: Standardised outputs less the prior mean `(n,)`.
+        extra: Known variances of z `(n,)`.
+        plain: Hyperparameters that `train` returned for the same observations.
+        former: Hyperparameters in use so far, whose optional ones the training starts from.
+        deadline: Time at which to stop with the best so far [s], of `time.monotonic`.
+        noisy: Whether the machine is known to be noisy.
+    """
+    free = held_parameters(settings, kernel, scale)[1]
+    optional = free & _optional(kernel)
+    if not optional.any() or not z.any() or time.monotonic() > deadline:
+        return plain
+    start = plain if former is None else np.where(optional, former, plain)
+    every = slice(None)
+    some = slice(None, None, -(-len(z) // SUBSET))
+    for part in (every,) if len(z) <= SUBSET else (some, every):
+        objective = NegativeLogPosterior(
+            kernel, x[part], z[part], extra[part], settings.prior == "weak", noisy
+        )
+        n = len(objective.z)
+        bounds = objective.bounds(settings.minimum_noise)
+        start, value = train_lbfgs(
+            objective, start[None], bounds, free, TOLERANCE / n, deadline=deadline
+        )
+        gain = n * (objective(plain)[0] - value)
+        if gain < CLEAR_EVIDENCE:
+            return plain
+        if left_out_gain(objective, start, objective, plain) < CLEAR_EVIDENCE:
+            return plain
+    return start
+
+
+def _optional(kernel: Kernel) -> NDArray[np.bool_]:
+    """Return which of the hyperparameters `(k + 2,)` are optional."""
+    return np.append(kernel.optional, [False, False])
 
 
 def _best_start(
