@@ -54,7 +54,7 @@ def shell(
     capsys: pytest.CaptureFixture[str],
 ) -> Shell:
     """A shell where a tuner and a machine of the toy problem are running."""
-    start_machine()
+    start_machine("speed:=2.0")  # evaluations take long enough for commands
     start_tuner("initial_evaluations:=4")
     return Shell(start_node, capsys)
 
