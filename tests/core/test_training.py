@@ -207,6 +207,16 @@ def test_variables_that_act_together_are_found_and_others_are_left_alone(n, toge
     assert train_optional(*data, plain, None, deadline=0.0) is plain
 
 
+def test_many_variables_do_not_seem_to_act_together() -> None:
+    rng = np.random.default_rng(1)
+    x = rng.uniform(-1, 1, (60, 20))
+    z = np.linalg.norm(x - 0.5, axis=1)
+    z -= z.mean()
+    data = (GaussianProcessSettings(), KERNELS.find("matern52_full")(20), 1.0, x, z, 0.0 * z)
+    plain = train(*data, None, rng, 1)
+    assert train_optional(*data, plain, None) is plain
+
+
 def test_a_training_stops_at_its_deadline_with_the_best_so_far() -> None:
     calls: list[float] = []
 

@@ -29,7 +29,8 @@ CLEAR_NOISE = float(np.log(0.03))
 TOLERANCE = 1e-2
 """Gain in the log likelihood below which a training is done."""
 CLEAR_EVIDENCE = 6.0
-"""Gain in log density from which on optional hyperparameters are used."""
+"""Least gain in log density for which optional hyperparameters are used."""
+_EVIDENCE_PER_PARAMETER = 0.4  # by chance it grows to 0.2 for each of them
 SUBSET = 128
 """Number of observations on which many starts are compared."""
 
@@ -364,9 +365,10 @@ def train_optional(
 ) -> FloatArray:
     """Return the hyperparameters `(k + 2,)` with the kernel's optional ones trained, if that is clearly better.
 
-    It is if the observations, with the priors, are more probable by `CLEAR_EVIDENCE`, and if they are so when each
-    is predicted from all others and counts for at most one, so that no wild reading decides; else `plain` itself is
-    returned. With more than `SUBSET` observations, a subset of them must say so first.
+    It is if the observations, with the priors, are more probable by `CLEAR_EVIDENCE`, or more where there are many
+    optional ones, and if they are so when each is predicted from all others and counts for at most one, so that no
+    wild reading decides; else `plain` itself is returned. With more than `SUBSET` observations, a subset of them
+    must say so first.
 
     Args:
         settings: Settings, as for `train`.
@@ -384,6 +386,7 @@ def train_optional(
     optional = free & _optional(kernel)
     if not optional.any() or not z.any() or time.monotonic() > deadline:
         return plain
+    least = max(CLEAR_EVIDENCE, _EVIDENCE_PER_PARAMETER * int(optional.sum()))
     start = plain if former is None else np.where(optional, former, plain)
     every = slice(None)
     some = slice(None, None, -(-len(z) // SUBSET))
@@ -396,8 +399,7 @@ def train_optional(
         start, value = train_lbfgs(
             objective, start[None], bounds, free, TOLERANCE / n, deadline=deadline
         )
-        gain = n * (objective(plain)[0] - value)
-        if gain < CLEAR_EVIDENCE:
+        if n * (objective(plain)[0] - value) < least:
             return plain
         if left_out_gain(objective, start, objective, plain) < CLEAR_EVIDENCE:
             return plain
