@@ -53,7 +53,10 @@ def archive(name: str, n: int, seed: int = 0) -> Archive:
     if name == "awa":
         record = awa_record(n, "default", seed)
         outputs = [
-            {name: (pair[0], pair[1]) for name, pair in evaluation["outputs"].items()}
+            {
+                name: (mean, np.nan if stddev is None else stddev)
+                for name, (mean, stddev) in evaluation["outputs"].items()
+            }
             for evaluation in record["state"]["evaluations"]
         ]
         setpoints = [evaluation["setpoint"] for evaluation in record["state"]["evaluations"]]
