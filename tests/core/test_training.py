@@ -13,6 +13,7 @@ from mobo_tuner.core.kernels import KERNELS
 from mobo_tuner.core.training import (
     CLEAR_EVIDENCE,
     NegativeLogPosterior,
+    Task,
     held_parameters,
     train,
     train_adam,
@@ -178,7 +179,8 @@ def test_one_observation_teaches_nothing():
     settings = GaussianProcessSettings()
     kernel = KERNELS.find("matern52")(2)
     x, z = np.zeros((1, 2)), np.ones(1)
-    parameters = train(settings, kernel, 1.0, x, z, 0.0 * z, None, np.random.default_rng(0), 2)
+    task = Task(settings, kernel, 1.0, x, z, 0.0 * z)
+    parameters = train(task, None, np.random.default_rng(0), 2)
     np.testing.assert_allclose(np.exp(parameters), [np.sqrt(2.0), np.sqrt(2.0), 1.0, 1e-4])
 
 
@@ -190,10 +192,10 @@ def test_variables_that_act_together_are_found_and_others_are_left_alone(n, toge
     a, b, c = x.T
     z = np.sin(3.0 * (a - b)) + 0.3 * c if together else np.sin(3.0 * a) + np.cos(2.0 * b) + 0.3 * c
     settings, kernel = GaussianProcessSettings(), KERNELS.find("matern52_full")(3)
-    data = (settings, kernel, 1.0, x, z, 0.0 * z)
-    plain = train(*data, None, rng, 1)
+    task = Task(settings, kernel, 1.0, x, z, 0.0 * z)
+    plain = train(task, None, rng, 1)
     assert not plain[3:6].any()
-    found = train_optional(*data, plain, None)
+    found = train_optional(task, plain, None)
     if not together:
         assert found is plain
         return
@@ -202,9 +204,9 @@ def test_variables_that_act_together_are_found_and_others_are_left_alone(n, toge
     assert precision[0, 1] < -0.6 * np.sqrt(precision[0, 0] * precision[1, 1])
     objective = NegativeLogPosterior(kernel, x, z, 0.0 * z, weak_prior=True)
     assert n * (objective(plain)[0] - objective(found)[0]) > CLEAR_EVIDENCE
-    again = train_optional(*data, plain, found)
+    again = train_optional(task, plain, found)
     np.testing.assert_allclose(again[3:6], found[3:6], atol=0.1)
-    assert train_optional(*data, plain, None, deadline=0.0) is plain
+    assert train_optional(task, plain, None, deadline=0.0) is plain
 
 
 def test_many_variables_do_not_seem_to_act_together() -> None:
@@ -212,9 +214,10 @@ def test_many_variables_do_not_seem_to_act_together() -> None:
     x = rng.uniform(-1, 1, (60, 20))
     z = np.linalg.norm(x - 0.5, axis=1)
     z -= z.mean()
-    data = (GaussianProcessSettings(), KERNELS.find("matern52_full")(20), 1.0, x, z, 0.0 * z)
-    plain = train(*data, None, rng, 1)
-    assert train_optional(*data, plain, None) is plain
+    kernel = KERNELS.find("matern52_full")(20)
+    task = Task(GaussianProcessSettings(), kernel, 1.0, x, z, 0.0 * z)
+    plain = train(task, None, rng, 1)
+    assert train_optional(task, plain, None) is plain
 
 
 def test_a_training_stops_at_its_deadline_with_the_best_so_far() -> None:

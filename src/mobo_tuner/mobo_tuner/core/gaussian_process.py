@@ -19,7 +19,7 @@ from mobo_tuner.core.output_scaling import LARGEST_OUTPUT, OutputScaling, is_con
 from mobo_tuner.core.output_transform import Logarithm
 from mobo_tuner.core.posterior import Gradients, Posterior
 from mobo_tuner.core.scaling_choice import ScalingChoice
-from mobo_tuner.core.training import train, train_optional
+from mobo_tuner.core.training import Task, train, train_optional
 
 __all__ = ["GaussianProcess", "GaussianProcessSettings", "LeaveOneOut", "Prediction"]
 
@@ -162,28 +162,21 @@ class GaussianProcess:
         generator = np.random.default_rng(0) if rng is None else rng
         starts = self.settings.restarts if restarts is None else restarts
         part = slice(None, None, -(-len(outputs) // (most_trained or len(outputs))))
-        states = []
+        states, tasks = [], {}
         with single_blas_thread():
             scalings = self._choice.allowed(inputs, outputs)
             begin = time.monotonic()
             for i, (name, scaling) in enumerate(scalings):
-                parameters = train(
-                    self.settings,
-                    kernel,
-                    scaling.scale,
-                    seen[part],
-                    scaling.standardise(inputs, outputs)[part],
-                    self._known_noise(scaling, outputs, noise)[part],
-                    self._trained.get(name),
-                    generator,
-                    starts,
-                    begin + seconds * (i + 1) / (len(scalings) + 1),
-                    noisy,
-                )
+                deadline = begin + seconds * (i + 1) / (len(scalings) + 1)
+                z = scaling.standardise(inputs, outputs)[part]
+                known = self._known_noise(scaling, outputs, noise)[part]
+                task = Task(self.settings, kernel, scaling.scale, seen[part], z, known, noisy)
+                tasks[name] = task
+                parameters = train(task, self._trained.get(name), generator, starts, deadline)
                 self._trained[name] = parameters
                 model = _Model(name, scaling, parameters)
                 states.append(self._condition(kernel, model, inputs, outputs, noise))
-            former = None if self._state is None else self._state.model.parameters
+            in_use = None if self._state is None else self._state.model.parameters
             scores = []
             for state in states if len(states) > 1 else ():
                 self._state = state
@@ -196,16 +189,7 @@ class GaussianProcess:
             if not self._is_plain:
                 model = self._state.model
                 parameters = train_optional(
-                    self.settings,
-                    kernel,
-                    model.scaling.scale,
-                    seen[part],
-                    model.scaling.standardise(inputs, outputs)[part],
-                    self._known_noise(model.scaling, outputs, noise)[part],
-                    model.parameters,
-                    former,
-                    begin + seconds,
-                    noisy,
+                    tasks[model.name], model.parameters, in_use, begin + seconds
                 )
                 if parameters is not model.parameters:
                     model = model._replace(parameters=parameters)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -289,18 +290,34 @@ def held_parameters(
     return held, free
 
 
+class Task(NamedTuple):
+    """What a training needs to know of one output.
+
+    Attributes:
+        settings: Settings: held values, bounds, kind of training.
+        kernel: Covariance function of d inputs, with k shape parameters.
+        scale: Size of one unit of z in the output's units.
+        x: Normalised inputs `(n, d)`.
+        z: Standardised outputs less the prior mean `(n,)`.
+        extra: Known variances of z `(n,)`.
+        noisy: Whether the machine is known to be noisy.
+    """
+
+    settings: GaussianProcessSettings
+    kernel: Kernel
+    scale: float
+    x: FloatArray
+    z: FloatArray
+    extra: FloatArray
+    noisy: bool = False
+
+
 def train(
-    settings: GaussianProcessSettings,
-    kernel: Kernel,
-    scale: float,
-    x: FloatArray,
-    z: FloatArray,
-    extra: FloatArray,
+    task: Task,
     former: FloatArray | None,
     rng: np.random.Generator,
     restarts: int,
     deadline: float = np.inf,
-    noisy: bool = False,
 ) -> FloatArray:
     """Return the hyperparameters `(k + 2,)` for standardised observations, trained as the settings say.
 
@@ -309,18 +326,13 @@ def train(
     returned.
 
     Args:
-        settings: Settings: held values, bounds, kind of training.
-        kernel: Covariance function of d inputs.
-        scale: Size of one unit of z in the output's units.
-        x: Normalised inputs `(n, d)`.
-        z: Standardised outputs less the prior mean `(n,)`.
-        extra: Known variances of z `(n,)`.
+        task: What is trained.
         former: Hyperparameters of the last training, from which this one starts, if any.
         rng: Random number generator of the other starts.
         restarts: Number of the other starts.
         deadline: Time at which to stop with the best so far [s], of `time.monotonic`.
-        noisy: Whether the machine is known to be noisy.
     """
+    settings, kernel, scale, x, z, extra, noisy = task
     objective = NegativeLogPosterior(kernel, x, z, extra, settings.prior == "weak", noisy)
     held, free = held_parameters(settings, kernel, scale)
     bounds = objective.bounds(settings.minimum_noise)
@@ -352,16 +364,7 @@ def train(
 
 
 def train_optional(
-    settings: GaussianProcessSettings,
-    kernel: Kernel,
-    scale: float,
-    x: FloatArray,
-    z: FloatArray,
-    extra: FloatArray,
-    plain: FloatArray,
-    former: FloatArray | None,
-    deadline: float = np.inf,
-    noisy: bool = False,
+    task: Task, plain: FloatArray, former: FloatArray | None, deadline: float = np.inf
 ) -> FloatArray:
     """Return the hyperparameters `(k + 2,)` with the kernel's optional ones trained, if that is clearly better.
 
@@ -371,17 +374,12 @@ def train_optional(
     must say so first.
 
     Args:
-        settings: Settings, as for `train`.
-        kernel: Covariance function, as for `train`.
-        scale: Size of one unit of z, as for `train`.
-        x: Normalised inputs `(n, d)`.
-        z: Standardised outputs less the prior mean `(n,)`.
-        extra: Known variances of z `(n,)`.
-        plain: Hyperparameters that `train` returned for the same observations.
+        task: What is trained.
+        plain: Hyperparameters that `train` returned for it.
         former: Hyperparameters in use so far, whose optional ones the training starts from.
         deadline: Time at which to stop with the best so far [s], of `time.monotonic`.
-        noisy: Whether the machine is known to be noisy.
     """
+    settings, kernel, scale, x, z, extra, noisy = task
     free = held_parameters(settings, kernel, scale)[1]
     optional = free & _optional(kernel)
     if not optional.any() or not z.any() or time.monotonic() > deadline:
