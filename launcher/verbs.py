@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
+import signal
 import subprocess
 import sys
 import tempfile
@@ -135,6 +137,8 @@ def test(root: Path, arguments: list[str]) -> int:
             project.processes.stop([process], patience=EXIT_LIMIT - 1.5)
             raise
     if status is None:
+        os.killpg(process.pid, signal.SIGABRT)  # at which pytest prints where each process stands
+        project.processes.wait(process, EXIT_LIMIT)
         raise LauncherError(f"the tests were not done after {TEST_TIMEOUT:.0f} s")
     return status
 

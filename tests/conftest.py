@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import pytest_timeout
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -43,6 +44,14 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.pop(watchdog.MARKER, None)
 
     config.add_cleanup(wait)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_exception_interact(node: pytest.Item | pytest.Collector) -> None:
+    """Limit the end and the second try of a test that failed, too: its failure has stopped its timer."""
+    if isinstance(node, pytest.Item):
+        settings = pytest_timeout._get_item_settings(node)
+        node.ihook.pytest_timeout_set_timer(item=node, settings=settings)
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -263,7 +264,7 @@ def test_ctrl_c_waits_until_the_machine_is_where_it_was(
     run.process.send_signal(signal.SIGINT)
     status, out, err = run.wait()
     assert (status, err) == (130, "mobo.py: the run was stopped by SIGINT\n")
-    assert any(line.startswith("moving: ") and "ramping" in line for line in out.splitlines())
+    assert any(re.match(r"moving: .*(ramping|settling) \d+%", line) for line in out.splitlines())
     assert run.journal()[-1]["error_msg"].endswith("the machine went to the state before the run")
     assert facts_of(run)["state"] == "interrupted"
     run.assert_nothing_left()
