@@ -20,6 +20,7 @@ from mobo_tuner.runs.recorded_run import RecordedRun
 from mobo_tuner.runs.records import ForgetRecord, to_json
 from mobo_tuner.runs.report import plots
 from mobo_tuner.runs.report.comparison import render_comparison
+from mobo_tuner.runs.report.figures import front_figure, hypervolume_figure
 from mobo_tuner.runs.report.models import model_facts
 from mobo_tuner.runs.report.page import duration, failures, number, render_page
 from mobo_tuner.runs.report.summary import summarize
@@ -169,16 +170,40 @@ def test_the_summary_in_words(mixed: Path) -> None:
     assert "The Pareto front has 3 points" in text
 
 
-def test_what_each_fidelity_cost_is_told_and_a_cheaper_evaluation_breaks_no_constraint(
-    tmp_path: Path,
-) -> None:
+@pytest.fixture(params=[2, 1])
+def of_two_fidelities(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    """A run with one or two objectives, three evaluations with a coarse mesh and two with a fine one."""
     problem = {**TWO, "fidelity": {"mesh": {"choices": [8, 24]}, "cost": "mesh ** 2 / 576"}}
     values = {"f1": 5.0, "f2": 5.0}
+    names = list(values)[: request.param]
+    problem["objectives"] = {name: problem["objectives"][name] for name in names}
     made = [
-        evaluation(i, values, setpoint={"x1": 0.5 * i, "mesh": mesh}, feasible=mesh == 24.0)
+        evaluation(
+            i,
+            values,
+            setpoint={"x1": 0.5 * i, "mesh": mesh},
+            feasible=mesh == 24.0,
+        )
         for i, mesh in enumerate((8.0, 8.0, 8.0, 24.0, 24.0))
     ]
-    folder = write_run(tmp_path / "run1", made, problem, {"stop_reason": "budget"})
+    return write_run(tmp_path / "run1", made, problem, {"stop_reason": "budget"})
+
+
+def test_cheaper_evaluations_have_marks_of_their_own(of_two_fidelities: Path) -> None:
+    run = RecordedRun.load(of_two_fidelities)
+    drawn = [plots.convergence(run), *plots.fronts(run, [])]
+    legends = [{text for text, *_ in plot.legend} for plot in drawn]
+    figures = [front_figure(run), hypervolume_figure(run)]
+    legends += [set(figure.axes[0].get_legend_handles_labels()[1]) for figure in figures]
+    for legend in legends:
+        assert "lower fidelity" in legend
+        assert "infeasible" not in legend
+
+
+def test_what_each_fidelity_cost_is_told_and_a_cheaper_evaluation_breaks_no_constraint(
+    of_two_fidelities: Path,
+) -> None:
+    folder = of_two_fidelities
     text = read(folder)
     assert "cost as much as 2.33 evaluations" in text
     assert "3 evaluations with mesh 8 (0.333), 2 evaluations with mesh 24 (2)" in text

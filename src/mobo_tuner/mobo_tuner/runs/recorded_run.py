@@ -157,6 +157,11 @@ class RecordedRun:
         return ~self.optimizer.dataset.highest
 
     @cached_property
+    def infeasible(self) -> BoolArray:
+        """Which evaluations of the highest fidelity are incomplete or break a constraint ``(n,)``."""
+        return self.valid & ~self.feasible & ~self.cheaper
+
+    @cached_property
     def spent(self) -> list[Spent]:
         """What was evaluated at each fidelity, the cheapest first; empty without fidelities."""
         fidelity = self.problem.fidelity

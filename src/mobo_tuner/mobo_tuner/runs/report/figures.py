@@ -77,7 +77,8 @@ def hypervolume_figure(run: RecordedRun) -> Figure:
         grew = np.diff(y, prepend=0.0) > 0.0
         for kind, marker, color, size, label in (
             (grew, "o", _BLUE, 22, "front grew"),
-            (run.valid & ~run.feasible, "x", _ORANGE, 32, "infeasible"),
+            (run.valid & run.cheaper, "s", _GREY, 14, "lower fidelity"),
+            (run.infeasible, "x", _ORANGE, 32, "infeasible"),
             (run.failed, "X", _RED, 48, "failed"),
         ):
             if kind.any():
@@ -147,7 +148,7 @@ def _draw_single(axes: Axes, run: RecordedRun) -> None:
         return
     feasible = run.feasible
     axes.scatter(run.indices[feasible], values[feasible], color=_BLUE, s=18, label="feasible")
-    _cross(axes, run.indices.astype(float), values, run.valid & ~feasible)
+    _draw_outside_the_front(axes, run, run.indices.astype(float), values, run.valid)
     if feasible.any():
         best = sign * np.minimum.accumulate(np.where(feasible, sign * values, np.inf))
         known = np.isfinite(best)
@@ -173,7 +174,7 @@ def _draw_plane(axes: Axes, run: RecordedRun) -> PathCollection | None:
     reference = np.array([across.reference, up.reference])
     _draw_limits(axes, run, across, up)
     feasible = measured & run.feasible
-    _cross(axes, xy[:, 0], xy[:, 1], measured & ~run.feasible)
+    _draw_outside_the_front(axes, run, xy[:, 0], xy[:, 1], measured)
     points = axes.scatter(
         xy[feasible, 0],
         xy[feasible, 1],
@@ -241,9 +242,17 @@ def _set_view(axes: Axes, xy: Array, measured: BoolArray, needed: Array) -> None
         )
 
 
-def _cross(axes: Axes, x: Array, y: Array, rows: BoolArray) -> None:
-    if rows.any():
-        axes.scatter(x[rows], y[rows], marker="x", color=_ORANGE, s=30, label="infeasible")
+def _draw_outside_the_front(
+    axes: Axes, run: RecordedRun, x: Array, y: Array, measured: BoolArray
+) -> None:
+    """Draw what can never be on the front: evaluations of a lower fidelity, and infeasible ones."""
+    for kind, marker, color, size, label in (
+        (run.cheaper, "s", _GREY, 14, "lower fidelity"),
+        (run.infeasible, "x", _ORANGE, 30, "infeasible"),
+    ):
+        rows = measured & kind
+        if rows.any():
+            axes.scatter(x[rows], y[rows], marker=marker, color=color, s=size, label=label)
 
 
 def _label(objective: Objective) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from mobo_tuner.core.pareto import is_nondominated
 from mobo_tuner.core.problem import Array, Objective, Problem, Variable
 from mobo_tuner.core.units import product_of_units, spans_decades
-from mobo_tuner.runs.recorded_run import RecordedRun
+from mobo_tuner.runs.recorded_run import BoolArray, RecordedRun
 from mobo_tuner.runs.report.figures import staircase
 from mobo_tuner.runs.report.models import ModelFacts
 from mobo_tuner.runs.report.summary import Recommendation
@@ -47,7 +47,8 @@ def convergence(run: RecordedRun) -> Plot:
         plot.line(x, run.hypervolumes_measured, "k-e dashed", "of the readings", step=True)
     plot.line(x, run.hypervolumes, "k-a", "of the models' means" if run.is_noisy else "", step=True)
     kinds = (
-        (run.valid & ~run.feasible, "k-b", "infeasible", "cross"),
+        (run.valid & run.cheaper, "k-f", "lower fidelity", "square"),
+        (run.infeasible, "k-b", "infeasible", "cross"),
         (run.failed, "k-bad thick", "failed", "cross"),
         (_by_operators(run), "k-c", "operator's set-point", "triangle"),
     )
@@ -242,8 +243,8 @@ def _front_of_pair(
             if constraint.name == objective.name:
                 draw(constraint.minimum, "k-bad thin", "limit")
                 draw(constraint.maximum, "k-bad thin", "limit")
-    rows = run.valid & ~run.feasible
-    plot.marks(xy[rows, 0], xy[rows, 1], "k-b thin", "infeasible", shape="cross")
+    for rows, css, legend, shape in _outside_the_front(run):
+        plot.marks(xy[rows, 0], xy[rows, 1], css, legend, shape=shape)
     plot.marks(xy[run.feasible, 0], xy[run.feasible, 1], "k-faint", "feasible")
     if len(front):
         projected = front[is_nondominated(front * signs)]
@@ -282,12 +283,20 @@ def _kinds(plot: Plot, run: RecordedRun, values: Array) -> None:
     """Draw values over the evaluations, each kind by a mark of its own."""
     on_front = np.isin(run.indices, run.front)
     for rows, css, legend, shape in (
-        (run.valid & ~run.feasible, "k-b thin", "infeasible", "cross"),
+        *_outside_the_front(run),
         (run.feasible & ~on_front, "k-faint", "feasible", "dot"),
         (on_front, "k-a", "on the front", "dot"),
         (run.failed, "k-bad", "failed", "cross"),
     ):
         plot.marks(run.indices[rows], values[rows], css, legend, shape=shape)
+
+
+def _outside_the_front(run: RecordedRun) -> list[tuple[BoolArray, str, str, str]]:
+    """Return which measured evaluations can never be on the front, each kind with style, legend and shape."""
+    return [
+        (run.valid & run.cheaper, "k-f thin", "lower fidelity", "square"),
+        (run.infeasible, "k-b thin", "infeasible", "cross"),
+    ]
 
 
 def _by_operators(run: RecordedRun) -> Array:
