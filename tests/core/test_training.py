@@ -8,6 +8,7 @@ from scipy.optimize import approx_fprime
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
 
+from mobo_tuner.core.context_kernel import Contextual
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
 from mobo_tuner.core.kernels import KERNELS
 from mobo_tuner.core.training import (
@@ -207,6 +208,19 @@ def test_variables_that_act_together_are_found_and_others_are_left_alone(n, toge
     again = train_optional(task, plain, found)
     np.testing.assert_allclose(again[3:6], found[3:6], atol=0.1)
     assert train_optional(task, plain, None, deadline=0.0) is plain
+
+
+def test_variables_that_act_together_elsewhere_only_do_not_count() -> None:
+    rng = np.random.default_rng(1)
+    x = np.column_stack([rng.uniform(-1, 1, (60, 2)), rng.random(60) < 0.75])
+    a, b, cheap = x.T
+    z = np.where(cheap, np.sin(3.0 * (a - b)), np.sin(3.0 * a) + np.cos(2.0 * b))
+    kernel = Contextual(KERNELS.find("matern52_full")(2), 1)
+    task = Task(GaussianProcessSettings(), kernel, 1.0, x, z, 0.0 * z)
+    plain = train(task, None, rng, 1)
+    assert train_optional(task, plain, None) is not plain
+    assert train_optional(task._replace(decisive=cheap == 0.0), plain, None) is plain
+    assert train_optional(task._replace(decisive=cheap == 1.0), plain, None) is not plain
 
 
 def test_many_variables_do_not_seem_to_act_together() -> None:

@@ -18,7 +18,7 @@ from mobo_tuner.core.training import (
     TOLERANCE,
     NegativeLogPosterior,
     held_parameters,
-    left_out_gain,
+    left_out_gains,
     train_lbfgs,
 )
 
@@ -96,7 +96,7 @@ def noise_evidence(
         return NoiseEvidence(most, False)
     free[-1] = False
     noiseless_best, without = train_lbfgs(objective, noiseless, bounds, free, tolerance, _STEPS)
-    gain = left_out_gain(objective, noisy_best, objective, noiseless_best)
+    gain = float(left_out_gains(objective, noisy_best, objective, noiseless_best).sum())
     # Readings that are exactly alike in many places are those of a plateau, not of noise.
     alike = np.unique(z, return_counts=True)[1].max() > _PLATEAU * len(z)
     return NoiseEvidence(
@@ -159,4 +159,5 @@ def drift_evidence(
     constant, without = best(steady, [plain, clear], np.delete(free, at))
     if n * (without - with_time) <= 0.0:
         return n * (without - with_time)
-    return min(n * (without - with_time), left_out_gain(timed, changing, steady, constant))
+    gain = float(left_out_gains(timed, changing, steady, constant).sum())
+    return min(n * (without - with_time), gain)

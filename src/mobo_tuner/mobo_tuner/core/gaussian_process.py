@@ -7,7 +7,7 @@ from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mobo_tuner.core.context_kernel import Contextual
 from mobo_tuner.core.evidence import NoiseEvidence, drift_evidence, noise_evidence
@@ -134,6 +134,7 @@ class GaussianProcess:
         most_trained: int | None = None,
         seconds: float = np.inf,
         noisy: bool = False,
+        decisive: NDArray[np.bool_] | None = None,
     ) -> GaussianProcess:
         """Train on the observations and condition on them; O(n^3) for each step of the training.
 
@@ -148,6 +149,8 @@ class GaussianProcess:
             most_trained: Highest number of observations to train on; by default all.
             seconds: Time budget of the training [s], which then ends with the best so far.
             noisy: Whether the machine is known to be noisy, which widens the prior of the noise.
+            decisive: Which observations what is optional for the kernel must predict better, too `(n,)`;
+                None for all.
 
         Returns:
             The model itself.
@@ -162,6 +165,7 @@ class GaussianProcess:
         generator = np.random.default_rng(0) if rng is None else rng
         starts = self.settings.restarts if restarts is None else restarts
         part = slice(None, None, -(-len(outputs) // (most_trained or len(outputs))))
+        deciding = None if decisive is None else decisive[part]
         states, tasks = [], {}
         with single_blas_thread():
             scalings = self._choice.allowed(inputs, outputs)
@@ -170,7 +174,9 @@ class GaussianProcess:
                 deadline = begin + seconds * (i + 1) / (len(scalings) + 1)
                 z = scaling.standardise(inputs, outputs)[part]
                 known = self._known_noise(scaling, outputs, noise)[part]
-                task = Task(self.settings, kernel, scaling.scale, seen[part], z, known, noisy)
+                task = Task(
+                    self.settings, kernel, scaling.scale, seen[part], z, known, noisy, deciding
+                )
                 tasks[name] = task
                 parameters = train(task, self._trained.get(name), generator, starts, deadline)
                 self._trained[name] = parameters

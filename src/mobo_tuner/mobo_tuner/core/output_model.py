@@ -126,6 +126,7 @@ class OutputModel:
             most_trained=_MOST_TRAINED if len(rows) < len(self.counted(data)) else None,
             seconds=seconds,
             noisy=noisy,
+            decisive=data.highest[rows],
         )
 
     def add(self, data: Dataset, inputs: Array, rows: NDArray[np.intp], at_once: bool) -> None:
@@ -175,6 +176,7 @@ class OutputModel:
                 rng=np.random.default_rng(seed),
                 most_trained=_MOST_TRAINED,
                 noisy=noisy,
+                decisive=data.highest[rows],
             )
             density = np.full(len(data), np.nan)
             density[rows] = process.leave_one_out().log_density
@@ -242,5 +244,10 @@ class OutputModel:
     ) -> None:
         y, stddev = self._readings(data)
         self.process = self.process.untrained().fit(
-            inputs[rows], y[rows], stddev[rows], rng=np.random.default_rng(seed), noisy=noisy
+            inputs[rows],
+            y[rows],
+            stddev[rows],
+            rng=np.random.default_rng(seed),
+            noisy=noisy,
+            decisive=data.highest[rows],
         )

@@ -32,6 +32,7 @@ TOLERANCE = 1e-2
 CLEAR_EVIDENCE = 6.0
 """Least gain in log density for which optional hyperparameters are used."""
 _EVIDENCE_PER_PARAMETER = 0.4  # by chance it grows to 0.2 for each of them
+_DECISIVE_EVIDENCE = 3.0  # the same of the observations that decide
 SUBSET = 128
 """Number of observations on which many starts are compared."""
 
@@ -144,13 +145,13 @@ class NegativeLogPosterior:
         return np.append(self.kernel.default_parameters(), [self.log_mean_square, _NOISE_PRIOR[0]])
 
 
-def left_out_gain(
+def left_out_gains(
     objective: NegativeLogPosterior,
     parameters: FloatArray,
     other: NegativeLogPosterior,
     other_parameters: FloatArray,
-) -> float:
-    """Return the gain in the left-out log densities over those of another model, at most one for each."""
+) -> FloatArray:
+    """Return the gains in the left-out log densities `(n,)` over those of another model, at most one for each."""
     densities = [
         Posterior(
             model.kernel,
@@ -162,7 +163,7 @@ def left_out_gain(
         ).leave_one_out_log_density
         for model, p in ((objective, parameters), (other, other_parameters))
     ]
-    return float(np.clip(densities[0] - densities[1], -1.0, 1.0).sum())
+    return np.clip(densities[0] - densities[1], -1.0, 1.0)
 
 
 def _row_blocks(n: int) -> Iterator[tuple[slice, slice]]:
@@ -301,6 +302,7 @@ class Task(NamedTuple):
         z: Standardised outputs less the prior mean `(n,)`.
         extra: Known variances of z `(n,)`.
         noisy: Whether the machine is known to be noisy.
+        decisive: Which observations optional hyperparameters must also predict better `(n,)`; None for all.
     """
 
     settings: GaussianProcessSettings
@@ -310,6 +312,7 @@ class Task(NamedTuple):
     z: FloatArray
     extra: FloatArray
     noisy: bool = False
+    decisive: NDArray[np.bool_] | None = None
 
 
 def train(
@@ -332,7 +335,7 @@ def train(
         restarts: Number of the other starts.
         deadline: Time at which to stop with the best so far [s], of `time.monotonic`.
     """
-    settings, kernel, scale, x, z, extra, noisy = task
+    settings, kernel, scale, x, z, extra, noisy, _ = task
     objective = NegativeLogPosterior(kernel, x, z, extra, settings.prior == "weak", noisy)
     held, free = held_parameters(settings, kernel, scale)
     bounds = objective.bounds(settings.minimum_noise)
@@ -370,8 +373,8 @@ def train_optional(
 
     It is if the observations, with the priors, are more probable by `CLEAR_EVIDENCE`, or more where there are many
     optional ones, and if they are so when each is predicted from all others and counts for at most one, so that no
-    wild reading decides; else `plain` itself is returned. With more than `SUBSET` observations, a subset of them
-    must say so first.
+    wild reading decides, and some of it comes from those that are decisive; else `plain` itself is returned. With
+    more than `SUBSET` observations, a subset of them must say so first.
 
     Args:
         task: What is trained.
@@ -379,7 +382,7 @@ def train_optional(
         former: Hyperparameters in use so far, whose optional ones the training starts from.
         deadline: Time at which to stop with the best so far [s], of `time.monotonic`.
     """
-    settings, kernel, scale, x, z, extra, noisy = task
+    settings, kernel, scale, x, z, extra, noisy, decisive = task
     free = held_parameters(settings, kernel, scale)[1]
     optional = free & _optional(kernel)
     if not optional.any() or not z.any() or time.monotonic() > deadline:
@@ -399,7 +402,10 @@ def train_optional(
         )
         if n * (objective(plain)[0] - value) < least:
             return plain
-        if left_out_gain(objective, start, objective, plain) < CLEAR_EVIDENCE:
+        gains = left_out_gains(objective, start, objective, plain)
+        if gains.sum() < CLEAR_EVIDENCE:
+            return plain
+        if decisive is not None and gains[decisive[part]].sum() < _DECISIVE_EVIDENCE:
             return plain
     return start
 
