@@ -160,7 +160,7 @@ def test_what_is_uncertain_of_a_measured_point_is_no_reason_to_measure_it_again(
         optimizer.tell(setpoint, outputs)
     inputs = optimizer.dataset.inputs
     gaps = [np.abs(inputs[:i] - inputs[i]).max(axis=1).min() for i in range(8, 24)]
-    assert np.median(gaps) > 0.1  # 0.03 against the front of the means
+    assert np.median(gaps) > 0.2  # 0.11 against the front of the means
 
 
 @pytest.mark.parametrize(("missed", "explores"), [(0, True), (2, False)])
