@@ -57,6 +57,44 @@ def smooth(n: int) -> tuple[np.ndarray, np.ndarray]:
     return x, np.sin(2.0 * x[:, 0]) + x[:, 1]
 
 
+def test_readings_of_an_instrument_that_has_stopped_are_suspected_but_for_the_first() -> None:
+    x, y = smooth(40)
+    truth_there = y[20:24].copy()
+    y[20:24] = y[19]
+    assert found(x, y) == [20, 21, 22, 23]
+    assert found(x, y, (20, 21, 22, 23)) == [20, 21, 22, 23]
+    y[30:33] = y[29]
+    assert found(x, y) == [20, 21, 22, 23, 30, 31, 32]
+    y[20:24] = truth_there
+    assert found(x, y) == [30, 31, 32]
+
+
+def test_equal_readings_that_may_be_right_are_not_suspected() -> None:
+    x, y = smooth(40)
+    at_edge, few_values, there_again = y.copy(), np.round(4.0 * y), y.copy()
+    at_edge[20:24] = at_edge.max() + 0.1  # a camera that is clipped
+    assert found(x, at_edge) == []
+    few_values[20:24] = few_values[19]
+    assert found(x, few_values) == []
+    x_there = x.copy()
+    x_there[20:24], there_again[20:24] = x[19], y[19]
+    assert found(x_there, there_again) == []
+    along, of_one = x.copy(), np.sin(2.0 * x[:, 0])
+    along[20:24, 0], of_one[20:24] = (
+        x[19, 0],
+        of_one[19],
+    )  # the output does not depend on what moved
+    assert found(along, of_one) == []
+
+
+def test_an_instrument_that_has_stopped_for_a_while_costs_next_to_nothing() -> None:
+    right = tune({}, 28)
+    wrong = {i: {"f": right.dataset.evaluations[17].values["f"]} for i in range(18, 22)}
+    stopped = tune(wrong, 32)
+    assert stopped.suspected == [(i, "f") for i in wrong]
+    assert visited(stopped) >= 0.98 * visited(right)
+
+
 @pytest.mark.parametrize("by", [4.0, -4.0, 30.0, 1e6])
 def test_a_reading_unlike_all_others_is_suspected(by: float) -> None:
     x, y = smooth(20)

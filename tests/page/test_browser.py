@@ -179,8 +179,8 @@ def test_the_page_shows_what_the_tuner_does(stage: Stage, page: Page) -> None:
     assert read(page, ".run-id") == "run steered"
     assert read(page, ".live") == "● live"
     assert read(page, ".count").endswith(f"/ {ENDLESS}")
-    motion = read(page, ".motion-rows")
-    assert re.search(r"x1\s+\S+ → \S+\s+now ", motion), motion
+    moves = r"x1\s+\S+ → \S+\s+now "
+    until(page, lambda: re.search(moves, read(page, ".motion-rows")), "what moves")
     until(page, lambda: "awa_sim: machine" in read(page, ".health"), "the machine's health")
     assert "✓ good" in read(page, ".health")
     until(page, lambda: page.title().startswith("Running"), "the title")
@@ -445,6 +445,7 @@ def test_a_failure_asks_every_viewer_and_one_answers(
     stage.tune("asked", 5)
     question = page.locator(".question")
     until(page, lambda: "attempt 0: no beam. What now?" in question.inner_text(), "the question")
+    assert page.get_by_role("button", name="Continue", exact=True).is_hidden()
     other = chromium.new_page()
     other.goto(stage.address)
     until(other, lambda: "no beam" in read(other, ".question"), "the question, for the other")

@@ -4,7 +4,8 @@ A reading is suspected if a model of all others rules it out by far. It does not
 is; what repeats nearby is not suspected, so that a cliff or a region without beam is believed as soon
 as a second evaluation confirms it. Readings that are far from all others hide each other, and are
 set aside before any is judged; those of an instrument that fails for a while do not confirm each
-other. Where many readings are alike (a plateau, a clipped camera, no beam
+other. An instrument that has stopped gives the same reading again and again, to the last digit, within the range of
+all others: those are suspected together. Where many readings are alike (a plateau, a clipped camera, no beam
 yet), one that differs is what was sought, and nothing is suspected.
 """
 
@@ -28,6 +29,9 @@ _FEW_APART = 5  # of them, or more as below
 _LEAST_REST = 8  # others
 _NEARBY = 0.5  # largest distance in any input of the kernel at which readings confirm each other
 _ALIKE = 3.0  # largest ratio of the deviations of readings that confirm each other
+_STOPPED = (
+    3  # set-points in a row at which the same reading is one of an instrument that has stopped
+)
 
 
 def find_suspects(
@@ -54,10 +58,22 @@ def find_suspects(
     if len(kept) == 0 or np.unique(y[kept], return_counts=True)[1].max() > _PLATEAU * len(kept):
         return np.empty(0, dtype=np.intp)
     apart = _apart(y)
+    stopped = np.setdiff1d(_stopped(x, y), apart)
     hidden = np.setdiff1d(apart, former)
     if len(hidden) > 1:
         kept, former = np.setdiff1d(kept, hidden), np.union1d(former, hidden)
         model = model.untrained().fit(x[kept], y[kept], stddev[kept], rng=rng)
+    rest = np.setdiff1d(kept, stopped)
+    if len(stopped) and len(rest) > _FEWEST:
+        other = model.untrained().fit(x[rest], y[rest], stddev[rest], rng=rng)
+        if any(
+            _deviation(other, x[i], float(y[i]), float(stddev[i]), _MOST_SHARE, _DOUBTFUL)
+            is not None
+            for i in stopped
+        ):
+            kept, former, model = rest, np.setdiff1d(former, stopped), other
+        else:
+            stopped = stopped[:0]
     while len(kept) > _FEWEST:
         loo = model.leave_one_out()
         residual = np.abs(loo.residual) / loo.stddev
@@ -82,7 +98,7 @@ def find_suspects(
         dtype=np.intp,
     )
     few = len(np.setdiff1d(found, apart)) <= max(1, int(_MOST_SHARE * len(y)))
-    return found if few else np.intersect1d(found, apart)
+    return np.union1d(found if few else np.intersect1d(found, apart), stopped)
 
 
 def _apart(y: Array) -> NDArray[np.intp]:
@@ -101,6 +117,27 @@ def _apart(y: Array) -> NDArray[np.intp]:
         if nearest > _APART * np.ptp(rest) and not is_tail:
             return np.sort(order[-count:])
     return order[:0]
+
+
+def _stopped(x: Array, y: Array) -> NDArray[np.intp]:
+    """Return the rows of readings ``(n,)`` that repeat the one before within the range of all others.
+
+    Where any others are alike, readings have few values, and nothing is said. The first of them may be right.
+
+    Args:
+        x: Inputs ``(n, d)`` in the order of measuring.
+        y: Readings ``(n,)``.
+    """
+    stays = np.concatenate([[False], (np.diff(y) == 0.0) & (np.diff(x, axis=0) != 0.0).any(axis=1)])
+    begins = np.flatnonzero(~stays)
+    runs = [rows for rows in np.split(np.arange(len(y)), begins[1:]) if len(rows) >= _STOPPED]
+    if not runs:
+        return np.empty(0, dtype=np.intp)
+    others = np.delete(y, np.concatenate([rows[1:] for rows in runs]))
+    if len(np.unique(others)) < len(others):
+        return np.empty(0, dtype=np.intp)
+    within = [rows[1:] for rows in runs if others.min() < y[rows[0]] < others.max()]
+    return np.concatenate(within) if within else np.empty(0, dtype=np.intp)
 
 
 def is_doubtful(model: GaussianProcess, row: int) -> bool:
@@ -128,19 +165,35 @@ def is_surprising(model: GaussianProcess, x: Array, y: float, stddev: float) -> 
     return model.n > _FEWEST and _deviation(model, x, y, stddev) is not None
 
 
-def _deviation(model: GaussianProcess, x: Array, y: float, stddev: float) -> float | None:
-    """Return how far a reading is from the prediction of all others; None if they do not rule it out."""
+def _deviation(
+    model: GaussianProcess,
+    x: Array,
+    y: float,
+    stddev: float,
+    share: float = _LEAST_SHARE,
+    deviations: float = _RULED_OUT,
+) -> float | None:
+    """Return how far a reading is from the prediction of all others; None if they do not rule it out.
+
+    Args:
+        model: Model of all others.
+        x: Normalised input ``(d,)``.
+        y: Reading.
+        stddev: Known standard deviation; NaN if unknown.
+        share: Share of the others' range by which it is off if it is ruled out.
+        deviations: The same in standard deviations.
+    """
     mean, spread = model.predict(x[None])
     deviation = float(y - mean[0])
     least, most = model.range
-    if abs(deviation) <= _LEAST_SHARE * (most - least):
+    if abs(deviation) <= share * (most - least):
         return None
     loo = model.leave_one_out()
     calibration = max(1.0, float(np.sqrt(np.mean(np.square(loo.residual / loo.stddev)))))
     spread_of_reading = np.hypot(spread[0], model.noise_at(x))
     if np.isfinite(stddev):
         spread_of_reading = np.hypot(spread_of_reading, stddev)
-    ruled_out = abs(deviation) > _RULED_OUT * calibration * float(spread_of_reading)
+    ruled_out = abs(deviation) > deviations * calibration * float(spread_of_reading)
     return deviation if ruled_out else None
 
 

@@ -72,7 +72,7 @@ class ActionsPanel:
             self._answer.set_text("")
         past = self._viewer.past is not None
         self._pause.set_visibility(not paused)
-        self._resume.set_visibility(paused)
+        self._resume.set_visibility(paused and not status.asks)  # then it is "Try again"
         self._halt.set_visibility(moving)
         for button, useful in (
             (self._pause, running),

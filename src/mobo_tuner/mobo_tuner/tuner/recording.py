@@ -175,7 +175,9 @@ class Recording:
         self._recorders = now = judge_recorders(self._heard, time.monotonic())
         hints = []
         if now.lost:
-            hints.append(f"{now.text}: start another one with a new bag_path; the journal goes on")
+            hints.append(
+                f"{now.text}: start another one with a new bag_path; the journal does not need it"
+            )
         if self._free < SCARCE_SPACE:
             hints.append(
                 f"less than {SCARCE_SPACE / 1e9:g} GB is left on the disk of the runs: free some space"
