@@ -11,6 +11,7 @@ from scipy.stats import norm
 
 from mobo_tuner.core.acquisition import (
     AcquisitionFunction,
+    Average,
     ExpectedHypervolumeImprovement,
     ExpectedImprovement,
     Predictions,
@@ -76,6 +77,7 @@ def every_function(n_variables: int) -> dict[str, AcquisitionFunction]:
         "tucb_hvi": UpperConfidenceBoundHypervolumeImprovement(
             objectives, decomposition, 2.0, box(3)
         ),
+        "average": Average([ehvi, ucb, UpperConfidenceBound(objectives[0], 4.0, 0.5)]),
         "at most": feasible,
         "at least": ProbabilityOfFeasibility(objectives[1], lower=3.0),
         "between": ProbabilityOfFeasibility(objectives[2], 0.0, 0.1),
@@ -209,6 +211,16 @@ def test_scaling_the_objectives_only_adds_a_constant(scale: float) -> None:
     scaled_value, scaled_gradient = scaled.log_value_with_gradient(inputs)
     np.testing.assert_allclose(scaled_value, value + 4.0 * math.log(scale), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(scaled_gradient, gradient, rtol=1e-7, atol=1e-9)
+
+
+def test_an_average_is_the_mean_of_the_values() -> None:
+    functions = [every_function(2)[name] for name in ("ehvi", "ucb_hvi", "proximal")]
+    inputs = np.random.default_rng(4).uniform(-1.0, 1.0, (30, 2))
+    values = np.exp([function.log_value(inputs) for function in functions])
+    average = np.exp(Average(functions).log_value(inputs))
+    np.testing.assert_allclose(average, values.mean(axis=0), rtol=1e-9)
+    with pytest.raises(ValueError, match="at least one"):
+        Average([])
 
 
 def test_each_model_is_asked_once() -> None:

@@ -151,6 +151,18 @@ def test_while_the_front_stands_still_every_second_evaluation_explores(stddev: f
     assert gaps[-1] > np.quantile(gaps, 0.8)
 
 
+def test_what_is_uncertain_of_a_measured_point_is_no_reason_to_measure_it_again() -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY), seed=0, noise=1.0)
+    rng = np.random.default_rng(0)
+    for _ in range(24):
+        setpoint = optimizer.ask()
+        outputs = {k: v + rng.normal() for k, v in toy(setpoint).items()}
+        optimizer.tell(setpoint, outputs)
+    inputs = optimizer.dataset.inputs
+    gaps = [np.abs(inputs[:i] - inputs[i]).max(axis=1).min() for i in range(8, 24)]
+    assert np.median(gaps) > 0.2  # 0.11 against the front of the means
+
+
 @pytest.mark.parametrize(("missed", "explores"), [(0, True), (2, False)])
 def test_while_only_a_constraint_is_missed_nothing_is_explored(missed: int, explores: bool) -> None:
     """What is promised, but misses a constraint, is learned there."""

@@ -62,3 +62,21 @@ def test_many_candidates_are_predicted_as_one_by_one(m):
         np.testing.assert_allclose([one[0][0], one[1][0]], [mean[i], stddev[i]], rtol=1e-9)
         np.testing.assert_allclose(one[2].mean[0], gradients.mean[i], rtol=1e-8)
         np.testing.assert_allclose(one[2].stddev[0], gradients.stddev[i], rtol=1e-8)
+
+
+def test_a_draw_is_known_at_the_observations_and_draws_are_those_of_the_posterior():
+    posterior = _posterior(8, 0.5, 0.5)
+    normals = np.random.default_rng(0).standard_normal((4000, 8))
+    drawn = posterior.drawn(normals)
+    assert len(drawn) == 4000
+    values, stddev = drawn[0].predict(posterior.x)
+    np.testing.assert_allclose(values, drawn[0].z, atol=0.01)
+    assert (stddev < 0.01).all()
+    # Far from and between the observations: the law of total expectation and variance.
+    new = np.array([[0.13], [1.5]])
+    mean, stddev = posterior.predict(new)
+    means, stddevs = np.array([each.predict(new) for each in drawn]).transpose(1, 0, 2)
+    np.testing.assert_allclose(means.mean(axis=0), mean, atol=0.05)
+    np.testing.assert_allclose(np.hypot(means.std(axis=0), stddevs[0]), stddev, rtol=0.05)
+    assert (stddevs == stddevs[0]).all()
+    np.testing.assert_array_equal(posterior.predict(new)[0], mean)  # it stays as it is

@@ -141,6 +141,38 @@ class Product(AcquisitionFunction):
         return total, total_gradient
 
 
+class Average(AcquisitionFunction):
+    """The mean of acquisition functions, such as those of draws of what is uncertain.
+
+    Args:
+        functions: At least one acquisition function.
+    """
+
+    def __init__(self, functions: Sequence[AcquisitionFunction]) -> None:
+        if not functions:
+            raise ValueError("functions must contain at least one acquisition function")
+        self._functions = tuple(functions)
+
+    def log_value_from(self, predictions: Predictions) -> FloatArray:
+        """Return the logarithm of the mean."""
+        log_values = np.array([each.log_value_from(predictions) for each in self._functions])
+        most = _finite_or_zero(log_values.max(axis=0))
+        return most + _log(np.exp(log_values - most).mean(axis=0))
+
+    def log_value_with_gradient_from(
+        self, predictions: Predictions
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the logarithm of the mean, and its gradient."""
+        results = [each.log_value_with_gradient_from(predictions) for each in self._functions]
+        log_values = np.array([log_value for log_value, _ in results])
+        most = _finite_or_zero(log_values.max(axis=0))
+        shares = np.exp(log_values - most)
+        total = shares.sum(axis=0)
+        gradient = np.einsum("km,kmd->md", shares, np.array([each for _, each in results]))
+        gradient /= np.where(total > 0.0, total, 1.0)[:, None]
+        return most + _log(total / len(results)), gradient
+
+
 @dataclass(frozen=True)
 class Knowledge:
     """The data from which an acquisition function of the objectives is built; all are minimised.
@@ -514,6 +546,10 @@ def _log_with_gradient(value: FloatArray, gradient: FloatArray) -> tuple[FloatAr
 
 def _columns(arrays: Sequence[FloatArray]) -> FloatArray:
     return np.stack(arrays, axis=1)
+
+
+def _finite_or_zero(values: FloatArray) -> FloatArray:
+    return np.where(np.isfinite(values), values, 0.0)
 
 
 def _finite(value: float, name: str) -> float:

@@ -15,6 +15,7 @@ from scipy.spatial.distance import cdist
 from mobo_tuner.core.acquisition import (
     ACQUISITION_FUNCTIONS,
     AcquisitionFunction,
+    Average,
     ExpectedHypervolumeImprovement,
     Knowledge,
     Model,
@@ -48,6 +49,9 @@ _MOST_HALVINGS = 12
 _HOPELESS = 1e-4  # expected improvement of each objective, as a share of its spread
 _PATIENCE = 3  # evaluations in which the front should move
 _MOST_MISSED = 1  # of these may miss a constraint if the front stands still for another reason
+_DRAWS = 8  # of the function at noisy evaluations
+_MOST_DRAWN = 100  # evaluations up to which it is drawn; many are known well by their means
+_MOST_BOXES = 1000  # of the believed front, up to which one for each draw takes little time
 _SKILL = 0.5  # least share of their variance that a model must explain to be followed
 
 
@@ -449,6 +453,16 @@ class CandidateSearch:
             least = partial(BoxDecomposition, worst, sums)
             return chosen.of(Knowledge(summed, sums, worst, beta, least))
         truncation = (lower, reference) if np.isfinite(lower).any() else None
+        if not nearest and self._should_draw(chosen):
+            rng = np.random.default_rng([self._seed, 6, len(self._data)])
+            inputs = self._data.inputs[belief.feasible]
+            improvements = []
+            for drawn in zip(*(m.drawn(_DRAWS, rng) for m in self._models.objectives), strict=True):
+                values = np.column_stack([model.predict(inputs)[0] for model in drawn])
+                boxes = partial(BoxDecomposition, reference, values)
+                knowledge = Knowledge(drawn, values, reference, beta, boxes, truncation, tails)
+                improvements.append(chosen.of(knowledge))
+            return Average(improvements)
 
         def front() -> BoxDecomposition:
             boxes = self._archive.front()
@@ -456,6 +470,22 @@ class CandidateSearch:
             return BoxDecomposition(reference, values) if special else boxes
 
         return chosen.of(Knowledge(models, values, reference, beta, front, truncation, tails))
+
+    def _should_draw(self, chosen: type[AcquisitionFunction]) -> bool:
+        """Return whether the improvement is the mean over draws of the functions at noisy evaluations.
+
+        Against the means alone, what is uncertain about a measured point promises an improvement at just
+        that point, and the search stays there.
+        """
+        models = self._models
+        return (
+            issubclass(chosen, ExpectedHypervolumeImprovement)
+            and not (models.trusts_readings(self._data) or models.varies)
+            and bool(models.known.all() and self._archive.belief.feasible.any())
+            and not any(model.contexts for model in models.objectives)
+            and len(self._data) <= _MOST_DRAWN
+            and self._archive.front().n_boxes <= _MOST_BOXES
+        )
 
     def _is_informed(self, limit: tuple[GaussianProcess, float, float]) -> bool:
         """Return whether the readings of a constraint say anything of where it is met.

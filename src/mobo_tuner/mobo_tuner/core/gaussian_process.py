@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtri
+from scipy.stats import qmc
 
 from mobo_tuner.core.context_kernel import Contextual
 from mobo_tuner.core.evidence import NoiseEvidence, drift_evidence, noise_evidence
@@ -22,6 +24,8 @@ from mobo_tuner.core.scaling_choice import ScalingChoice
 from mobo_tuner.core.training import Task, train, train_optional
 
 __all__ = ["GaussianProcess", "GaussianProcessSettings", "LeaveOneOut", "Prediction"]
+
+_LEAST_QUANTILE = 1e-6  # of a draw
 
 
 class Prediction(NamedTuple):
@@ -328,6 +332,25 @@ class GaussianProcess:
                 mean + normals @ root.T
             )
         return model.scaling.output(drawn)
+
+    def drawn(self, count: int, rng: np.random.Generator) -> list[GaussianProcess]:
+        """Return models that know the function at the observations, one for each draw of it there; O(n^3).
+
+        Args:
+            count: Number of draws, a power of two; they are evenly spread.
+            rng: Random number generator.
+        """
+        state = self._fitted
+        uniform = qmc.Sobol(self.n, seed=rng).random(count)
+        normals = ndtri(np.clip(uniform, _LEAST_QUANTILE, 1.0 - _LEAST_QUANTILE))
+        with single_blas_thread():
+            posteriors = state.posterior.drawn(normals)
+        models = []
+        for posterior in posteriors:
+            model = self.copy()
+            model._state = state._replace(posterior=posterior)
+            models.append(model)
+        return models
 
     def correlations(self, x: FloatArray, others: FloatArray) -> FloatArray:
         """Return the correlations of the function at x `(d,)` with observations at others `(m, d)`; `(m,)`."""

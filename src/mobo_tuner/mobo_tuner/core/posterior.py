@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from copy import copy
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.linalg import blas
@@ -15,6 +16,9 @@ RELATIVE_JITTER = 1e-10
 """Fraction of the signal variance added to the diagonal of every covariance before factorisation."""
 
 _LEAST_VARIANCE = 1e-12
+_KNOWN = (
+    1e-6  # variance of a known value, as a share of the signal variance: set-points may be close
+)
 _BLOCK = 128
 
 
@@ -209,6 +213,26 @@ class Posterior(TriangularPosterior):
         covariance.flat[:: len(x) + 1] += self.variance * RELATIVE_JITTER
         lower, _ = cholesky(covariance)
         return mean, lower
+
+    def drawn(self, normals: FloatArray) -> list[Self]:
+        """Return what the posterior would be if the function were known at the observations, O(n^3).
+
+        There is one for each draw of the function there. They share the variance, which is zero at the
+        observations, to rounding.
+
+        Args:
+            normals: Independent standard normal numbers `(s, n)`.
+        """
+        mean, root = self.joint(self.x)
+        values = mean + normals @ root.T
+        known = copy(self)
+        known._condition(self.x, values[0], np.full(len(self.z), _KNOWN * self.variance))
+        posteriors = []
+        for z in values:
+            posterior = copy(known)
+            posterior.z, posterior.weights = z, known._solve(z)
+            posteriors.append(posterior)
+        return posteriors
 
     def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
         """Return the excess of each observation over its prediction from all others, and its variance.
