@@ -16,9 +16,8 @@ RELATIVE_JITTER = 1e-10
 """Fraction of the signal variance added to the diagonal of every covariance before factorisation."""
 
 _LEAST_VARIANCE = 1e-12
-_KNOWN = (
-    1e-6  # variance of a known value, as a share of the signal variance: set-points may be close
-)
+# Variance of a known value, as a share of the signal variance: set-points may be close.
+_KNOWN = 1e-6
 _BLOCK = 128
 
 

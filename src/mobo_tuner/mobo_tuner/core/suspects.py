@@ -29,9 +29,7 @@ _FEW_APART = 5  # of them, or more as below
 _LEAST_REST = 8  # others
 _NEARBY = 0.5  # largest distance in any input of the kernel at which readings confirm each other
 _ALIKE = 3.0  # largest ratio of the deviations of readings that confirm each other
-_STOPPED = (
-    3  # set-points in a row at which the same reading is one of an instrument that has stopped
-)
+_STOPPED = 3  # set-points in a row with the same reading, of an instrument that has stopped
 
 
 def find_suspects(
