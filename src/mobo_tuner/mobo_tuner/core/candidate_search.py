@@ -480,6 +480,7 @@ class CandidateSearch:
         models = self._models
         return (
             issubclass(chosen, ExpectedHypervolumeImprovement)
+            and len(models.objectives) > 1  # with one, it was not measured, and a start got stuck
             and not (models.trusts_readings(self._data) or models.varies)
             and bool(models.known.all() and self._archive.belief.feasible.any())
             and not any(model.contexts for model in models.objectives)
