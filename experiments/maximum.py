@@ -18,7 +18,7 @@ from experiments.archives import NAMES, archive
 from experiments.problems import cached, surrogate_digest
 from mobo_tuner.core import Optimizer
 from mobo_tuner.core.acquisition_optimizer import Maximizer, MultiStart, ParticleSwarm
-from mobo_tuner.core.candidate_search import CandidateSearch
+from mobo_tuner.core.merit import Merit
 
 THOROUGH = MultiStart(
     screened=4096,
@@ -38,8 +38,8 @@ MAXIMIZERS: dict[str, Maximizer] = {"multi_start": MultiStart(), "particle_swarm
 
 def find(maximizer: Maximizer, optimizer: Optimizer, seed: int) -> tuple[float, float]:
     """Return the logarithm of the largest value found, and the CPU time [s]."""
-    search = CandidateSearch(optimizer.archive, optimizer.settings, seed)
-    acquisition = search.acquisition_function()
+    merit = Merit(optimizer.archive, optimizer.settings, seed)
+    acquisition = merit.acquisition_function()
     assert acquisition is not None, "the models must have been trained"
     rows = [point["index"] for point in optimizer.pareto_front(measured=True)]
     starts = optimizer.dataset.inputs[rows]

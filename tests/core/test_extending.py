@@ -21,7 +21,7 @@ import json, math
 import numpy as np
 from mobo_tuner.core import Optimizer, Problem
 from mobo_tuner.core.acquisition import ACQUISITION_FUNCTIONS
-from mobo_tuner.core.candidate_search import CandidateSearch
+from mobo_tuner.core.merit import Merit
 from mobo_tuner.core.kernels import KERNELS
 from mobo_tuner.tuner.parameters import check_tuner, tuner_specs
 import yaml
@@ -53,7 +53,7 @@ kernel = KERNELS.find("matern32")(2)
 r2 = np.linspace(0.1, 4.0, 20)
 by_r2 = (kernel.profile(r2 + 1e-6)[0] - kernel.profile(r2 - 1e-6)[0]) / 2e-6
 np.testing.assert_allclose(kernel.profile(r2)[1], -2.0 * by_r2, rtol=1e-6)
-function = CandidateSearch(optimizer.archive, optimizer.settings, 0).acquisition_function()
+function = Merit(optimizer.archive, optimizer.settings, 0).acquisition_function()
 at = np.random.default_rng(0).uniform(-0.6, 0.6, (30, 2))
 value, gradient = function.log_value_with_gradient(at)
 step = 1e-6 * np.eye(2)

@@ -181,51 +181,6 @@ def test_a_wild_reading_never_counts_not_even_until_the_next_suggestion(n: int) 
     assert optimizer.ask() == same.ask()
 
 
-def test_a_reading_that_is_too_good_is_confirmed_beside_it() -> None:
-    problem = Problem.from_dict(
-        {
-            "variables": {name: {"min": 0.0, "max": 1.0} for name in "xy"},
-            "objectives": {"f": {"reference": 3.0}},
-        }
-    )
-
-    def slope(x: float, y: float) -> float:
-        """A slope with a narrow well."""
-        return x + y - 3.0 * math.exp(-(((x - 0.8) / 0.12) ** 2) - ((y - 0.7) / 0.12) ** 2)
-
-    rng = np.random.default_rng(3)
-    for deep in (True, False):
-        optimizer = Optimizer(problem, seed=0)
-        for x, y in [*rng.uniform(0.0, 0.5, (14, 2)), (0.8, 0.7)]:
-            value = slope(x, y) if deep or (x, y) != (0.8, 0.7) else -1.5
-            optimizer.tell({"x": x, "y": y}, {"f": value})
-        beside = optimizer.ask()
-        assert optimizer.suspected == [(14, "f")]
-        assert [beside["x"], beside["y"]] == pytest.approx([0.79, 0.69])
-        optimizer.tell(beside, {"f": slope(**beside) if deep else sum(beside.values())})
-        assert optimizer.ask() != beside
-        assert (optimizer.suspected == []) == deep
-
-
-def test_a_reading_that_nearly_meets_a_limit_is_confirmed_beside_it_while_none_does() -> None:
-    problem = Problem.from_dict(
-        {
-            "variables": {name: {"min": 0.0, "max": 1.0} for name in "xy"},
-            "objectives": {"f": {"reference": 3.0}},
-            "constraints": {"g": {"max": -1.0}},
-        }
-    )
-    rng = np.random.default_rng(3)
-    for wild, confirmed in ((-0.5, True), (4.0, False)):  # nearer to the limit, and farther
-        optimizer = Optimizer(problem, seed=0)
-        for x, y in [*rng.uniform(0.0, 0.5, (14, 2)), (0.8, 0.7)]:
-            g = x + y if x < 0.6 else wild
-            optimizer.tell({"x": x, "y": y}, {"f": x, "g": g})
-        beside = optimizer.ask()
-        assert optimizer.suspected == [(14, "g")]
-        assert (list(beside.values()) == pytest.approx([0.79, 0.69])) == confirmed
-
-
 def test_a_withdrawn_reading_counts_nowhere_and_can_be_taken_back() -> None:
     optimizer = tune({8: {"f": 0.0, "g": 0.0}}, 14)
     assert optimizer.hypervolume_measured == pytest.approx(9.0)

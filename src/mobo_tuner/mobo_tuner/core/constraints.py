@@ -85,6 +85,11 @@ class ValidityWeight(AcquisitionFunction):
         return self._model.log_weight_with_gradient(predictions.inputs)
 
 
+def violation(values: FloatArray, lower: float, upper: float) -> FloatArray:
+    """Return by how much values `(n,)` miss the limits; 0 where they are met."""
+    return np.maximum(np.maximum(lower - values, values - upper), 0.0)
+
+
 def log_probability_between(
     mean: FloatArray, stddev: FloatArray, lower: float, upper: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:

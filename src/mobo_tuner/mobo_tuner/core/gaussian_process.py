@@ -492,8 +492,7 @@ class GaussianProcess:
     @property
     def known_noise(self) -> FloatArray:
         """Known standard deviation of each observation `(n,)`; 0 where it is unknown."""
-        fixed = 0.0 if isinstance(self.settings.noise, str) else self.settings.noise
-        return np.hypot(self._fitted.stddev, fixed)
+        return np.hypot(self._fitted.stddev, self._fixed_noise)
 
     @property
     def skill(self) -> float:
@@ -513,10 +512,9 @@ class GaussianProcess:
         model, posterior, y, stddev, _ = self._fitted
         here = self.seen(self._whole_inputs(x[None]))
         nearest = int(np.square(posterior.x - here).sum(axis=1).argmin())
-        fixed = 0.0 if isinstance(self.settings.noise, str) else self.settings.noise
         is_log = isinstance(model.scaling.transform, Logarithm)
         learned = 0.0 if is_log else self.noise * float(model.scaling.unit(y[[nearest]])[0])
-        return float(np.sqrt(learned**2 + stddev[nearest] ** 2 + fixed**2))
+        return float(np.sqrt(learned**2 + stddev[nearest] ** 2 + self._fixed_noise**2))
 
     # State.
 
@@ -630,6 +628,12 @@ class GaussianProcess:
             raise ValueError("the model has no observations yet: call fit first")
         return self._state
 
+    @property
+    def _fixed_noise(self) -> float:
+        """Known standard deviation of every observation, beside its own; 0 where it is learned."""
+        noise = self.settings.noise
+        return 0.0 if isinstance(noise, str) else noise
+
     def _condition(
         self, kernel: Kernel, model: _Model, x: FloatArray, y: FloatArray, stddev: FloatArray
     ) -> _State:
@@ -647,8 +651,7 @@ class GaussianProcess:
         return learned + self._known_noise(model.scaling, y, stddev)
 
     def _known_noise(self, scaling: OutputScaling, y: FloatArray, stddev: FloatArray) -> FloatArray:
-        fixed = 0.0 if isinstance(self.settings.noise, str) else self.settings.noise
-        return scaling.noise_variances(y, np.hypot(stddev, fixed))
+        return scaling.noise_variances(y, np.hypot(stddev, self._fixed_noise))
 
 
 def _hyperparameters(values: object, kernel: Kernel) -> FloatArray:

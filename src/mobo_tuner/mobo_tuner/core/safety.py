@@ -18,11 +18,11 @@ import numpy as np
 from scipy.stats import qmc
 
 from mobo_tuner.core.archive import Archive
-from mobo_tuner.core.candidate_search import CandidateSearch
 from mobo_tuner.core.constraints import log_probability_between
 from mobo_tuner.core.dataset import BoolArray, Dataset
 from mobo_tuner.core.domain import CHANGED
 from mobo_tuner.core.gaussian_process import GaussianProcess
+from mobo_tuner.core.merit import Merit
 from mobo_tuner.core.problem import Array, Problem, ProblemError
 from mobo_tuner.core.settings import OptimizerSettings
 
@@ -98,8 +98,8 @@ class SafeSearch:
         told = len(self._data)
         acquisition = None
         if told >= self._archive.initial_evaluations:
-            search = CandidateSearch(self._archive, self._settings, self._seed)
-            acquisition = search.acquisition_function()
+            merit = Merit(self._archive, self._settings, self._seed)
+            acquisition = merit.acquisition_function()
         if acquisition is not None and told % _EXPANDING:
             return self._best(acquisition.log_value)
         if acquisition is not None and any(c.safe for c in self._problem.constraints):

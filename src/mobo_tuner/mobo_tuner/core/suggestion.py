@@ -11,6 +11,7 @@ from mobo_tuner.core.archive import Archive
 from mobo_tuner.core.candidate_search import CandidateSearch
 from mobo_tuner.core.fidelity_choice import choose_fidelity, needs_design
 from mobo_tuner.core.linear_algebra import single_blas_thread
+from mobo_tuner.core.merit import Merit
 from mobo_tuner.core.problem import Array
 from mobo_tuner.core.safety import SafeSearch, is_guarded, was_safe
 from mobo_tuner.core.settings import OptimizerSettings
@@ -41,7 +42,7 @@ class Suggester:
         """Return the next set-point; the archive's models are updated."""
         index = len(archive.dataset)
         source: Source = "initial" if index < archive.initial_evaluations else "model"
-        problem, search = archive.problem, self._search(archive)
+        problem, search = archive.problem, CandidateSearch(archive, self._settings, self._seed)
         with single_blas_thread():
             if is_guarded(problem, self._settings):
                 x = SafeSearch(archive, self._settings, self._seed).candidate()
@@ -65,7 +66,7 @@ class Suggester:
         if len(archive.dataset) < archive.initial_evaluations:
             return math.nan
         with single_blas_thread():
-            return self._search(archive).expected_gain(x)
+            return self._merit(archive).expected_gain(x)
 
     def log_acquisition(self, archive: Archive, x: Array) -> Array:
         """Return the logarithm of the acquisition function at x ``(m, d)``, by the models of the last update.
@@ -74,7 +75,7 @@ class Suggester:
         """
         if len(archive.dataset) >= archive.initial_evaluations and archive.models.ready:
             with single_blas_thread():
-                function = self._search(archive).acquisition_function()
+                function = self._merit(archive).acquisition_function()
                 if function is not None:
                     return function.log_value(x)
         return np.full(len(x), math.nan)
@@ -89,7 +90,7 @@ class Suggester:
         if guarded or len(archive.dataset) >= archive.initial_evaluations:
             archive.update()
             if archive.models.ready:
-                self._search(archive).acquisition_function()
+                self._merit(archive).acquisition_function()
 
-    def _search(self, archive: Archive) -> CandidateSearch:
-        return CandidateSearch(archive, self._settings, self._seed)
+    def _merit(self, archive: Archive) -> Merit:
+        return Merit(archive, self._settings, self._seed)
