@@ -158,7 +158,7 @@ def test_nothing_is_pending_where_all_failed() -> None:
     assert are_distinct(tuned.ask(3))
 
 
-@pytest.mark.parametrize("count", [0, -1, True, 1.0, math.nan, "3"])
+@pytest.mark.parametrize("count", [0, -1, True, 1.0, math.nan, "3", 10**6])
 def test_a_size_that_is_not_a_positive_integer_is_refused(count: Any) -> None:
     with pytest.raises(ProblemError, match="count"):
         optimizer().ask(count)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import sys
 from collections.abc import Callable
@@ -40,6 +41,8 @@ def optimizer(**settings: Any) -> Optimizer:
         ((AT, {"f": "1.0"}), "'f'"),
         ((AT, {"f": b"1"}), "'f'"),
         ((AT, {"f": True}), "'f'"),
+        ((AT, {"f": np.array(True)}), "'f'"),
+        ((AT, {"f": np.complex128(1.0 + 1.0j)}), "'f'"),
         ((AT, {"f": 10**400}), "'f'"),
         ((AT, {"f": 10**5000}), "'f'"),
         ((AT, {"f": (1.0, "0.1")}), "'f'"),
@@ -95,6 +98,7 @@ def test_any_magnitude_that_is_taken_can_be_worked_with(power: int) -> None:
         told.tell({"x": x}, {f"f{j}": unit * abs(x - j / 7.0) for j in range(7)})
     assert 0.0 <= told.ask()["x"] <= 1.0
     assert math.isfinite(told.hypervolume)
+    assert 0.0 <= told.focus(told.pareto_front()[0]["index"]).ask()["x"] <= 1.0
 
 
 @pytest.mark.parametrize(
@@ -147,6 +151,14 @@ def test_sentinels_are_part_of_the_problem_as_a_mapping() -> None:
         lambda o: o.focus(weights={"f": None}),
         lambda o: o.focus(weights=1.0),
         lambda o: o.focus(index="0"),
+        lambda o: o.focus(index=False),
+        lambda o: o.focus(index=np.zeros(2)),
+        lambda o: o.log_acquisition(np.zeros((2, 3))),
+        lambda o: o.log_acquisition(np.zeros(1)),
+        lambda o: o.log_acquisition(np.full((2, 1), math.nan)),
+        lambda o: o.log_acquisition("0"),
+        lambda o: o.save(1.5),
+        lambda o: o.save("/dev/null/state.json"),
         lambda o: o.with_problem(PROBLEM),
         lambda o: o.forget(0, {"f": 1.0}),
         lambda o: o.unforget(0, {"f"}),
@@ -168,6 +180,24 @@ def test_sentinels_are_part_of_the_problem_as_a_mapping() -> None:
 def test_a_bad_argument_is_refused(call: Callable[[Optimizer], Any]) -> None:
     with pytest.raises(ProblemError):
         call(optimizer())
+
+
+def test_integers_of_numpy_are_integers() -> None:
+    told = Optimizer(Problem.from_dict(PROBLEM), seed=np.int64(3))  # type: ignore[arg-type]
+    assert told.ask() == Optimizer(told.problem, seed=3).ask()
+    assert len(told.ask(np.int32(2))) == 2
+    told.tell(AT, {"f": 1.0})
+    told.forget(np.intp(0))  # type: ignore[arg-type]
+    assert told.get_state()["forgotten"] == [[0, None]]
+    json.dumps(told.get_state())
+
+
+@pytest.mark.parametrize("pair", [(1.0, None), [1.0, math.nan]])
+def test_an_unknown_standard_deviation_may_be_none(pair: Any) -> None:
+    evaluation = optimizer().tell(AT, {"f": pair, "g": (None, None)})
+    assert evaluation.values["f"] == 1.0
+    assert math.isnan(evaluation.stddevs["f"])
+    assert math.isnan(evaluation.value("g"))
 
 
 def test_a_focus_of_the_least_radius_can_be_worked_with() -> None:

@@ -18,6 +18,7 @@ from mobo_tuner.core.prior_mean import Prior
 from mobo_tuner.core.problem import Array, Problem, ProblemError, as_float
 from mobo_tuner.core.resolution import SAME
 from mobo_tuner.core.settings import OptimizerSettings
+from mobo_tuner.core.values import as_integer
 
 _LONGEST_START = 4  # evaluations, as a multiple of the initial design, while most of them fail
 _OFTEN_PACKED = 500  # evaluations up to which the boxes are built again after each training
@@ -327,9 +328,7 @@ class Archive:
         if not 0.0 <= self.hypervolume_measured < math.inf:
             raise ProblemError(f"the state's hypervolume is {self.hypervolume_measured}")
         self.models.set_state(state["models"], self.dataset)
-        packed = state["packed"]
-        if isinstance(packed, bool) or not isinstance(packed, int) or packed < 0:
-            raise ProblemError(f"the state's boxes hold {packed!r} evaluations")
+        packed = as_integer("the state's packed", state["packed"], 0)
         if packed and self.problem.has_references:
             self._pack(min(packed, len(self.dataset)))
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mobo_tuner.core.problem import FARTHEST, LARGEST, Array, Problem, ProblemError, as_float
+from mobo_tuner.core.values import as_integer
 
 Measured = float | tuple[float, float]
 """Measured value of a diagnostic: its mean, or its mean and standard deviation."""
@@ -204,11 +205,9 @@ class Dataset:
 
     def _evaluation(self, index: int, name: str | None) -> Evaluation:
         """Return an evaluation of which `name` was told."""
-        count = len(self)
-        if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < count:
-            known = f"0 to {count - 1} are allowed" if count else "there is no evaluation yet"
-            raise ProblemError(f"index is {index!r}; {known}")
-        evaluation = self.evaluations[index]
+        if not self.evaluations:
+            raise ProblemError(f"index is {index!r:.60}; there is no evaluation yet")
+        evaluation = self.evaluations[as_integer("index", index, 0, len(self) - 1)]
         if name is not None and not (isinstance(name, str) and name in evaluation.values):
             raise ProblemError(
                 f"name is {name!r}; evaluation {index} has {', '.join(evaluation.values) or 'none'}"
@@ -269,7 +268,7 @@ class Dataset:
                 f"output '{name}' must be a number or a pair (mean, standard deviation), not a list "
                 f"of {len(pair)}"
             )
-        mean, stddev = (as_float(f"output '{name}'", v) for v in pair)
+        mean, stddev = (math.nan if v is None else as_float(f"output '{name}'", v) for v in pair)
         mean = mean if self.problem.is_reading(name, mean) else math.nan
         return mean, stddev if 0.0 <= stddev <= LARGEST else math.nan
 

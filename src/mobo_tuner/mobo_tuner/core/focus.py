@@ -10,6 +10,7 @@ import numpy as np
 
 from mobo_tuner.core.problem import FARTHEST, LARGEST, Problem, ProblemError, as_float
 from mobo_tuner.core.quantities import Limit
+from mobo_tuner.core.values import as_integer
 
 LEAST_RADIUS = 10.0 / FARTHEST
 """Smallest radius of a focus, as a fraction of a variable's range.
@@ -41,13 +42,14 @@ def choose_on_front(
         row = int(np.argmin(values @ vector))
     else:
         indices = [p["index"] for p in front]
-        if index not in indices:
+        if as_integer("index", index, 0) not in indices:
             raise ProblemError(
                 f"index is {index!r}; the front has {', '.join(str(i) for i in sorted(indices))}"
             )
         row = indices.index(index)
     if weights is None:
-        vector = 1.0 / (problem.reference_point - values[row])
+        with np.errstate(over="ignore"):
+            vector = np.minimum(1.0 / (problem.reference_point - values[row]), LARGEST)
     return dict(front[row]["setpoint"]), tuple(float(w) for w in vector)
 
 

@@ -33,7 +33,10 @@ from mobo_tuner.core.prior_mean import Prior
 from mobo_tuner.core.problem import Array, Problem, ProblemError
 from mobo_tuner.core.settings import make_settings
 from mobo_tuner.core.suggestion import Source, Suggester
+from mobo_tuner.core.values import as_integer
 
+LARGEST_BATCH = 10_000
+"""Largest number of set-points that are asked for at once."""
 JUDGE_PERIOD = 10
 """Number of evaluations between two judgements of the models."""
 
@@ -74,8 +77,7 @@ class Optimizer:
     ) -> None:
         if not isinstance(problem, Problem):
             raise ProblemError(f"problem must be a Problem, not {problem!r:.60}")
-        if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-            raise ProblemError(f"seed is {seed!r}; an integer of at least 0 is allowed")
+        seed = as_integer("seed", seed, 0)
         if problem.open_variables:
             raise ProblemError(
                 f"the bounds of {', '.join(problem.open_variables)} depend on where the machine is; "
@@ -269,14 +271,13 @@ class Optimizer:
             Every variable in physical units and inside the bounds: one mapping, or a list of `count`.
 
         Raises:
-            ProblemError: If the count is not an integer of at least 1.
+            ProblemError: If the count is not an integer from 1 to `LARGEST_BATCH`.
         """
         if count is None:
             suggestion = self._pending.next(self.archive, self._suggester)
             self._last_sources = [suggestion.source]
             return suggestion.setpoint
-        if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-            raise ProblemError(f"count is {count!r}; an integer of at least 1 is allowed")
+        count = as_integer("count", count, 1, LARGEST_BATCH)
         batch = self._pending.extend(self.archive, self._suggester, count)
         self._last_sources = [suggestion.source for suggestion in batch]
         return [suggestion.setpoint for suggestion in batch]
@@ -326,8 +327,16 @@ class Optimizer:
 
         Returns:
             Values ``(m,)``; NaN if there are no models yet, or nothing shows where it is large.
+
+        Raises:
+            ProblemError: If x does not have this shape, or not only finite numbers.
         """
-        return self._suggester.log_acquisition(self.archive, x)
+        d = len(self.problem.variables)
+        points = np.asarray(x)
+        is_finite = points.dtype.kind in "fiu" and bool(np.isfinite(points).all())
+        if not is_finite or points.shape[1:] != (d,):
+            raise ProblemError(f"x is {x!r:.60}; rows of {d} finite numbers are allowed")
+        return self._suggester.log_acquisition(self.archive, points.astype(float))
 
     @property
     def needs_start(self) -> bool:
@@ -413,8 +422,7 @@ class Optimizer:
         Raises:
             ProblemError: If the size is not an integer of at least 1.
         """
-        if isinstance(size, bool) or not isinstance(size, int) or size < 1:
-            raise ProblemError(f"size is {size!r}; an integer of at least 1 is allowed")
+        size = as_integer("size", size, 1)
         if not self.dataset.valid.any():
             return []
         models = Models(self.problem, self.settings, self.seed, self._prior_means)

@@ -84,10 +84,16 @@ def reading_state(state: object) -> Iterator[None]:
 
 
 def write_state(path: str | Path, state: Mapping[str, Any]) -> None:
-    """Write a state to a JSON file, which replaces an older one only when it is complete."""
-    partial = Path(f"{path}.partial")
-    partial.write_text(json.dumps(state, allow_nan=False), encoding="utf-8")
-    os.replace(partial, path)
+    """Write a state to a JSON file, which replaces an older one only when it is complete.
+
+    Raises:
+        ProblemError: If the file cannot be written.
+    """
+    text = json.dumps(state, allow_nan=False)
+    with _reaching(path, "written"):
+        partial = Path(path).with_name(f"{Path(path).name}.partial")
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, path)
 
 
 def read_state(path: str | Path) -> dict[str, Any]:
@@ -97,13 +103,21 @@ def read_state(path: str | Path) -> dict[str, Any]:
         ProblemError: If the file cannot be read or does not contain a state.
     """
     try:
-        state = json.loads(Path(path).read_text(encoding="utf-8"))
-    except TypeError:
-        raise ProblemError(f"path is {path!r:.60}; the name of a file is allowed") from None
-    except OSError as error:
-        raise ProblemError(f"the file '{path}' cannot be read: {error.strerror}") from None
+        with _reaching(path, "read"):
+            state = json.loads(Path(path).read_text(encoding="utf-8"))
     except ValueError:
         raise ProblemError(f"the file '{path}' is not JSON") from None
     if not isinstance(state, dict):
         raise ProblemError(f"the file '{path}' holds no state of an optimiser")
     return state
+
+
+@contextmanager
+def _reaching(path: object, what: str) -> Iterator[None]:
+    """Turn what is wrong with a file, or with its name, into one sentence."""
+    try:
+        yield
+    except TypeError:
+        raise ProblemError(f"path is {path!r:.60}; the name of a file is allowed") from None
+    except OSError as error:
+        raise ProblemError(f"the file '{path}' cannot be {what}: {error.strerror}") from None

@@ -29,8 +29,10 @@ def as_float(where: str, value: object) -> float:
     Raises:
         ProblemError: If it is not a number: a string, a boolean, an array or a list for instance.
     """
-    is_scalar = not isinstance(value, np.ndarray) or value.ndim == 0
-    if isinstance(value, str | bytes | bytearray | bool | np.bool_) or not is_scalar:
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    others = str | bytes | bytearray | bool | np.bool_ | np.ndarray | np.complexfloating
+    if isinstance(value, others):
         raise ProblemError(f"{where} must be a number, not {describe(value)}")
     try:
         return float(value)  # type: ignore[arg-type]
@@ -56,6 +58,25 @@ def as_number(where: str, value: object) -> float:
     if abs(number) > LARGEST:
         raise ProblemError(f"{where} is {number:g}; at most {LARGEST:g} in magnitude is allowed")
     return number
+
+
+def as_integer(where: str, value: object, minimum: int, maximum: int | None = None) -> int:
+    """Return an integer of any type, such as one of NumPy.
+
+    Args:
+        where: Name of the value, for the error.
+        value: Value.
+        minimum: Least integer that is allowed.
+        maximum: Greatest one; None for any.
+
+    Raises:
+        ProblemError: If it is not an integer, or not in this range.
+    """
+    is_integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not is_integer or value < minimum or (maximum is not None and value > maximum):
+        allowed = f"at least {minimum}" if maximum is None else f"{minimum} to {maximum}"
+        raise ProblemError(f"{where} is {value!r:.60}; an integer of {allowed} is allowed")
+    return int(value)
 
 
 def as_string(where: str, value: object) -> str:
