@@ -185,7 +185,7 @@ def test_a_bad_argument_is_refused(call: Callable[[Optimizer], Any]) -> None:
 def test_integers_of_numpy_are_integers() -> None:
     told = Optimizer(Problem.from_dict(PROBLEM), seed=np.int64(3))  # type: ignore[arg-type]
     assert told.ask() == Optimizer(told.problem, seed=3).ask()
-    assert len(told.ask(np.int32(2))) == 2
+    assert len(told.ask(np.int32(2))) == 2  # type: ignore[call-overload]
     told.tell(AT, {"f": 1.0})
     told.forget(np.intp(0))  # type: ignore[arg-type]
     assert told.get_state()["forgotten"] == [[0, None]]
@@ -194,7 +194,7 @@ def test_integers_of_numpy_are_integers() -> None:
 
 @pytest.mark.parametrize("pair", [(1.0, None), [1.0, math.nan]])
 def test_an_unknown_standard_deviation_may_be_none(pair: Any) -> None:
-    evaluation = optimizer().tell(AT, {"f": pair, "g": (None, None)})
+    evaluation = optimizer().tell(AT, {"f": pair, "g": (None, None)})  # type: ignore[dict-item]
     assert evaluation.values["f"] == 1.0
     assert math.isnan(evaluation.stddevs["f"])
     assert math.isnan(evaluation.value("g"))

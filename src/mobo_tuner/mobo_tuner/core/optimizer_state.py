@@ -102,9 +102,10 @@ def read_state(path: str | Path) -> dict[str, Any]:
     Raises:
         ProblemError: If the file cannot be read or does not contain a state.
     """
+    with _reaching(path, "read"):
+        content = Path(path).read_bytes()
     try:
-        with _reaching(path, "read"):
-            state = json.loads(Path(path).read_text(encoding="utf-8"))
+        state = json.loads(content)
     except ValueError:
         raise ProblemError(f"the file '{path}' is not JSON") from None
     if not isinstance(state, dict):

@@ -72,11 +72,11 @@ def as_integer(where: str, value: object, minimum: int, maximum: int | None = No
     Raises:
         ProblemError: If it is not an integer, or not in this range.
     """
-    is_integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not is_integer or value < minimum or (maximum is not None and value > maximum):
-        allowed = f"at least {minimum}" if maximum is None else f"{minimum} to {maximum}"
-        raise ProblemError(f"{where} is {value!r:.60}; an integer of {allowed} is allowed")
-    return int(value)
+    number = int(value) if isinstance(value, int | np.integer) else minimum - 1
+    if isinstance(value, bool) or number < minimum or (maximum is not None and number > maximum):
+        allowed = f"of at least {minimum}" if maximum is None else f"from {minimum} to {maximum}"
+        raise ProblemError(f"{where} is {value!r:.60}; an integer {allowed} is allowed")
+    return number
 
 
 def as_string(where: str, value: object) -> str:
