@@ -97,3 +97,29 @@ def test_a_damaged_state_is_refused_or_goes_on() -> None:
     ):
         with pytest.raises(ProblemError):
             Optimizer.from_state(json.loads(whole) | part)
+
+
+@pytest.mark.parametrize("withdrawn", ["before", "after", "all", "for a while"])
+def test_a_reference_point_that_was_inferred_stays(withdrawn: str) -> None:
+    problem = with_changes(objectives={"f1": {}, "f2": {"direction": "maximize"}})
+    original = Optimizer(problem, seed=6, initial_evaluations=4)
+    for i in range(7):
+        x = original.ask()
+        wild = 1e6 if i == 1 else sum(x.values())
+        original.tell(x, {"f1": wild, "f2": -wild})
+        if i == 2 and withdrawn != "after":
+            original.forget(1)
+        if i == 5 and withdrawn in ("after", "for a while"):
+            (original.forget if withdrawn == "after" else original.unforget)(1)
+    if withdrawn == "all":
+        for i in range(7):
+            original.forget(i)
+    restored = Optimizer.from_state(json.loads(json.dumps(original.get_state())))
+    assert restored.problem == original.problem
+    assert restored.problem.has_references
+    assert (max(np.abs(restored.problem.reference_point)) > 1e5) == (withdrawn == "after")
+    assert restored.hypervolume == original.hypervolume
+    assert restored.ask() == original.ask()
+    if withdrawn != "all":
+        changed = original.with_problem(problem)
+        assert (changed.problem == original.problem) == (withdrawn == "before")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -153,9 +154,28 @@ def test_an_evaluation_that_lacks_an_output_may_be_measured_again() -> None:
     )
     data = Dataset(both)
     data.add({"x": 0.0}, {"f": 0.5})
-    assert not taken(data).contains(np.zeros((1, 1))).any()
-    data.add({"x": 0.0}, {"g": 0.5, "f": 0.5})
-    assert taken(data).contains(np.zeros((1, 1))).all()
+    at = np.zeros((1, 1))
+    assert taken(data).contains(at).all()  # where g was measured nowhere, nothing is expected of it
+    data.add({"x": 1.0}, {"g": 0.5, "f": 0.5})
+    assert not taken(data).contains(at).any()
+    data.add({"x": 0.0}, {"f": 0.5})
+    assert taken(data).contains(at).all()  # it will not be measured there
+
+
+@pytest.mark.parametrize("known", [(), ("x",)])
+def test_what_lacks_an_output_is_not_asked_again_and_again(known: tuple[str, ...]) -> None:
+    grid = {"min": 0, "max": 2, "step": 1}
+    objectives = {"f": {"reference": 5.0}, "g": {"reference": 5.0}}
+    tuned = Optimizer(
+        Problem.from_dict({"variables": {"x": grid, "y": grid}, "objectives": objectives})
+    )
+    asked = []
+    for _ in range(9):
+        at = tuned.ask()
+        asked.append((at["x"], at["y"]))
+        outputs = {"f": abs(at["x"] - 1.0) + at["y"], "g": 2.0 - at["y"] + at["x"]}
+        tuned.tell(at, outputs if known and at["x"] != 1.0 else {"f": outputs["f"]})
+    assert max(Counter(asked).values()) <= (2 if known else 1)
 
 
 def test_repetitions_tell_whether_readings_are_noisy() -> None:

@@ -18,7 +18,7 @@ from mobo_tuner.core.prior_mean import Prior
 from mobo_tuner.core.problem import Array, Problem, ProblemError, as_float
 from mobo_tuner.core.resolution import SAME
 from mobo_tuner.core.settings import OptimizerSettings
-from mobo_tuner.core.values import as_integer
+from mobo_tuner.core.values import as_integer, as_numbers
 
 _LONGEST_START = 4  # evaluations, as a multiple of the initial design, while most of them fail
 _OFTEN_PACKED = 500  # evaluations up to which the boxes are built again after each training
@@ -54,6 +54,7 @@ class Archive:
         prior_means: Prior | None,
     ) -> None:
         self.problem = problem
+        self._given = problem
         self.dataset = Dataset(problem)
         self.models = Models(problem, settings, seed, prior_means)
         self.initial_evaluations = settings.initial_evaluations or _initial(problem, prior_means)
@@ -149,8 +150,13 @@ class Archive:
             data.objectives, data.valid, data.feasible, self.initial_evaluations
         )
         if problem.has_references:
-            self.problem = data.problem = problem
-            self.models = Models(problem, self._settings, self._seed, self._prior_means)
+            self._refer_to(problem)
+
+    def _refer_to(self, problem: Problem) -> None:
+        """Take over the problem with another reference point."""
+        self.problem = self.dataset.problem = problem
+        self.models = Models(problem, self._settings, self._seed, self._prior_means)
+        if problem.has_references:
             self._count_hypervolume()
 
     def _learn_again(self) -> None:
@@ -165,9 +171,10 @@ class Archive:
         """Count the hypervolume of the readings again."""
         self._boxes = BoxDecomposition(self.problem.reference_point)
         self._packed = 0
-        self.hypervolume_measured = sum(
+        gains = [
             self._boxes.add(self._minimised(e)) for e in self.dataset.evaluations if e.feasible
-        )
+        ]
+        self.hypervolume_measured = sum(gains, 0.0)
 
     def _minimised(self, evaluation: Evaluation) -> Array:
         """Return the minimised objectives of a complete evaluation `(P,)`."""
@@ -309,7 +316,9 @@ class Archive:
 
     def get_state(self) -> dict[str, Any]:
         """Return what `set_state` needs beside the evaluations, as data for JSON."""
+        problem = self.problem
         return {
+            "reference_point": problem.reference_point.tolist() if problem.has_references else None,
             "hypervolume": self.hypervolume_measured,
             "packed": self._packed,
             "models": self.models.get_state(),
@@ -322,6 +331,13 @@ class Archive:
         Raises:
             ProblemError: If a value is not allowed or does not suit the evaluations.
         """
+        if "reference_point" in state and not self._given.has_references:
+            # What was withdrawn before it was inferred, and what after, is not known any more.
+            point, problem = state["reference_point"], self._given
+            if point is not None:
+                point = as_numbers("the state's reference_point", point)
+                problem = problem.with_reference_point(point)
+            self._refer_to(problem)
         for index, name in state["forgotten"]:
             self.forget(index, name)
         self.hypervolume_measured = as_float("the state's hypervolume", state["hypervolume"])

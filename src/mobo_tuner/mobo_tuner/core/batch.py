@@ -67,7 +67,7 @@ class Pending:
             if batch:
                 archive = archive.expecting(batch[-1].setpoint)
             batch.append(suggester.next(archive))
-            self._setpoints.append(dict(batch[-1].setpoint))
+        self._setpoints += [dict(suggestion.setpoint) for suggestion in batch]
         return batch
 
     def _expected(self, archive: Archive) -> Archive:

@@ -162,7 +162,7 @@ class CandidateSearch:
         rows = self._data.complete & self._data.valid & self._data.highest
         known, targets = self._data.inputs[rows], self._data.targets[rows]
         if len(known) == 0:
-            return True
+            return not used.contains(x[None])[0]
         # Beside a set-point that the machine missed, it will be missed again, and likewise.
         beside = np.abs(targets - x).max(axis=1)
         if beside.min() <= _NEAR:

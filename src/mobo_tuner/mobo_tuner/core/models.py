@@ -275,7 +275,8 @@ class Models:
         if len(data) > self._judged or self._outdated:
             self._judged = len(data)
             judged = self._selection.of_failures(data, self._judged)
-            self.validity.fit(_located(data)[judged], ~data.failed[judged])
+            if len(judged):  # not all were withdrawn
+                self.validity.fit(_located(data)[judged], ~data.failed[judged])
         count = self._count(data)
         if count == 0 or (count == self._count(data, self._held) and not self._outdated):
             return False

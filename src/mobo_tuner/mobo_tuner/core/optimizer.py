@@ -449,11 +449,13 @@ class Optimizer:
         return Optimizer(problem, seed=self.seed, prior_means=self._prior_means, **choices)
 
     def _tell_all_to(self, other: Optimizer) -> None:
+        withdrawn = self.dataset.withdrawn
         for e in self.dataset.evaluations:
             outputs = {n: (v, e.stddevs[n]) for n, v in e.values.items()}
             other.tell(e.setpoint, outputs, e.readbacks, e.reported_failed, e.time)
-        for index, name in self.dataset.withdrawn:
-            other.forget(index, name)
+            # At once, so that no reference point is inferred from it.
+            for name in [name for index, name in withdrawn if index == e.index]:
+                other.forget(e.index, name)
         other._pending = Pending(self.pending)
 
     # ------------------------------------------------------------------ state

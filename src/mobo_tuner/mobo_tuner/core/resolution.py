@@ -44,8 +44,20 @@ class Taken:
 
 
 def taken(data: Dataset) -> Taken:
-    """Return the boxes around the evaluations of the highest fidelity that were complete or failed."""
-    done = ((data.complete & data.valid) | data.failed) & data.highest
+    """Return the boxes around the evaluations of the highest fidelity after which nothing is expected there.
+
+    They failed or have every output that was measured anywhere; or the place was measured again, and
+    what is missing was not read then, either.
+    """
+    columns = [np.isfinite(data.column(name)) for name in data.problem.required_diagnostics]
+    lacking = np.zeros(len(data), dtype=bool)
+    for column in columns:
+        lacking |= column.any() & ~column & ~data.failed
+    rows = np.flatnonzero(data.highest & ~data.forgotten)
+    _, place, counts = np.unique(
+        np.round(data.inputs[rows] / SAME), axis=0, return_inverse=True, return_counts=True
+    )
+    done = rows[~lacking[rows] | (counts[place.ravel()] > 1)]
     inputs, targets = data.inputs[done], data.targets[done]
     if len(inputs) == 0:
         return Taken(inputs, inputs)
