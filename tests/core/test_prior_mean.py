@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -171,3 +172,73 @@ def test_with_a_prior_model_fewer_points_are_initial_and_a_saved_state_continues
     narrower = PROBLEM.to_dict()
     del narrower["constraints"]
     assert optimizer.with_problem(Problem.from_dict(narrower)).ask()
+
+
+class Broken(Formula):
+    """A model that fails at one of its calls, or answers with what is no prediction."""
+
+    def __init__(self, failing: int = 1, gradient: Any = None) -> None:
+        super().__init__()
+        self.failing, self.gradient = failing, gradient
+
+    def predict(self, columns: Mapping[str, Array]) -> Array:
+        if self.calls + 1 == self.failing:
+            self.calls += 1
+            raise KeyError("server")
+        return super().predict(columns)
+
+
+class BrokenGradient(Broken):
+    """A model whose gradient is wrong."""
+
+    def predict_with_gradient(self, columns: Mapping[str, Array]) -> Any:
+        return self.gradient if columns else None
+
+
+@pytest.mark.parametrize("gradient", [None, 1.0, (1.0,), ([[1.0, 1.0, 1.0]], None)])
+def test_a_model_that_fails_is_named(gradient: Any) -> None:
+    with pytest.raises(ProblemError, match="KeyError: 'server'"):
+        PriorMeans(PROBLEM, Broken())
+    means = PriorMeans(PROBLEM, BrokenGradient(0, gradient))
+    with pytest.raises(ProblemError, match="predict_with_gradient"):
+        means.gradients(np.zeros((1, 3)))
+
+
+@pytest.mark.parametrize("outputs", [None, 3, ("f", "f")])
+def test_the_outputs_of_a_model_are_names(outputs: Any) -> None:
+    model = Formula()
+    model.outputs = outputs
+    with pytest.raises(ProblemError, match="outputs"):
+        PriorMeans(PROBLEM, model)
+
+
+def test_functions_do_not_disturb_each_other() -> None:
+    def emptied(columns: Any) -> Array:
+        columns["a"] *= 0.0
+        return np.asarray(columns.pop("a"))
+
+    means = PriorMeans(PROBLEM, {"f": emptied, "h": lambda columns: columns["a"]})
+    np.testing.assert_array_equal(means.values(np.ones((2, 3)))[:, 1], 3.0)
+    with pytest.raises(ProblemError, match="'f'"):
+        PriorMeans(PROBLEM, {"f": lambda columns: 1j * columns["a"]})  # type: ignore
+
+
+@pytest.mark.parametrize("failing", [2, 6, 20])
+def test_a_run_goes_on_as_before_where_a_model_failed_once(failing: int) -> None:
+    inferred = PROBLEM.to_dict()
+    inferred["objectives"] = {"f": {}, "g": {"direction": "maximize"}}
+    asked: list[list[dict[str, float]]] = []
+    for model in (Formula(), Broken(failing)):
+        tuned = Optimizer(Problem.from_dict(inferred), initial_evaluations=3, prior_means=model)
+        asked.append([])
+        while len(tuned.dataset) < 5:
+            try:
+                setpoint = tuned.ask()
+            except ProblemError:
+                assert model.calls == failing
+                continue
+            a, b, c = (setpoint[name] for name in "abc")
+            tuned.tell(setpoint, {"f": a * a + c, "g": np.sin(a) * np.log(b), "h": a * c})
+            asked[-1].append(setpoint)
+    assert asked[0] == asked[1]
+    assert model.calls >= failing

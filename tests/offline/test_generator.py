@@ -97,6 +97,10 @@ def test_a_point_that_was_evaluated_elsewhere_is_no_longer_pending() -> None:
         ([{"x": 0.1, "f": 0.0, "g": 0.0}], "y"),
         ([{"x": 0.1, "y": 0.1, "f": "good", "g": 0.0}], "f"),
         ([{"x": 0.1, "y": 1e9, "f": 0.0, "g": 0.0}], "y"),
+        ([{"_id": 1.5, "x": 0.1, "y": 0.1, "f": 0.0, "g": 0.0}], "_id"),
+        ([{"_id": math.inf, "x": 0.1, "y": 0.1, "f": 0.0, "g": 0.0}], "_id"),
+        ([None], "mapping"),
+        (["abc"], "mapping"),
     ],
 )
 def test_what_cannot_be_ingested_is_refused_and_nothing_is_learned(
@@ -110,12 +114,49 @@ def test_what_cannot_be_ingested_is_refused_and_nothing_is_learned(
     assert len(made.optimizer.pending) == 2
 
 
-def test_a_point_is_ingested_once() -> None:
+@pytest.mark.parametrize("results", [None, {"x": 0.1, "y": 0.1, "f": 0.0, "g": 0.0}, 3])
+def test_only_a_list_of_points_can_be_ingested(results: Any) -> None:
+    with pytest.raises(ProblemError, match="list"):
+        generator().ingest(results)
+
+
+@pytest.mark.parametrize("count", [0, True, 2.7, "3", math.nan, math.inf, []])
+def test_a_number_of_points_is_a_positive_integer(count: Any) -> None:
+    made = generator()
+    with pytest.raises(ProblemError, match="count"):
+        made.suggest(count)
+    assert made.suggest(np.int64(1))[0]["_id"] == 0  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("has_id", [True, False])
+def test_a_point_is_ingested_once(has_id: bool) -> None:
     made = generator()
     [point] = made.suggest(1)
-    made.ingest([evaluated(point)])
+    made.ingest([{n: v for n, v in evaluated(point).items() if has_id or n != "_id"}])
+    assert made.optimizer.pending == []
     with pytest.raises(ProblemError, match="_id is 0"):
         made.ingest([evaluated(point)])
+
+
+def test_the_parts_of_derived_quantities_are_ingested() -> None:
+    definition = {
+        "variables": {"x": {"min": 0.0, "max": 1.0}},
+        "derived": {"q": {"formula": "sqrt(a * b)"}},
+        "objectives": {"q": {"reference": 3.0}, "g": {"reference": 1.0}},
+        "observables": {"a": {}, "t": {}},
+    }
+    made = MoboGenerator(Problem.from_dict(definition))
+    assert made.vocs.observable_names == ["a", "b", "t"]
+    made.ingest([{"x": 0.5, "a": 4.0, "b": 1.0, "g": 0.5}])
+    assert made.optimizer.hypervolume == 0.5
+
+
+def test_an_observable_that_is_no_number_is_left_alone() -> None:
+    made = MoboGenerator(vocs(observables={"log": "str", "turns": int, "trace": ("f8", (3,))}))
+    made.ingest(
+        [evaluated({"x": 0.5, "y": 0.5, "log": "no beam", "turns": 3, "trace": np.ones(3)})]
+    )
+    assert made.optimizer.dataset.evaluations[0].values.keys() == {"f", "g", "turns"}
 
 
 @pytest.mark.parametrize("choice", [{"batch_size": 0}, {"batch_size": True}, {"preset": "best"}])
@@ -185,6 +226,12 @@ def test_a_vocs_that_cannot_be_tuned_is_refused_by_name(changes: dict[str, Any],
 def test_a_reference_of_no_objective_is_refused() -> None:
     with pytest.raises(ProblemError, match="'h'"):
         MoboGenerator(vocs(), {"h": 1.0})
+    with pytest.raises(ProblemError, match="references"):
+        MoboGenerator(vocs(), [1.0])  # type: ignore[arg-type]
+    with pytest.raises(ProblemError, match="references"):
+        MoboGenerator(problem_of(vocs(), REFERENCES), REFERENCES)
+    with pytest.raises(ProblemError, match="VOCS"):
+        MoboGenerator(None)
 
 
 @pytest.mark.parametrize("name", ["awa", "toy", "shift"])

@@ -62,7 +62,6 @@ class Archive:
         self.hypervolume_measured = 0.0
         self._settings = settings
         self._seed = seed
-        self._prior_means = prior_means
         self._boxes = _no_boxes(problem)  # of the readings
         self._packed = 0  # number of evaluations when these boxes were last built again
         # Of all that was told, each once it was needed:
@@ -155,7 +154,7 @@ class Archive:
     def _refer_to(self, problem: Problem) -> None:
         """Take over the problem with another reference point."""
         self.problem = self.dataset.problem = problem
-        self.models = Models(problem, self._settings, self._seed, self._prior_means)
+        self.models = Models(problem, self._settings, self._seed, self.models.means)
         if problem.has_references:
             self._count_hypervolume()
 

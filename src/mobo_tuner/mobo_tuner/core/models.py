@@ -46,11 +46,15 @@ class Models:
         problem: Problem whose quantities are modelled.
         settings: Settings of the optimiser.
         seed: Seed of the random starts of training.
-        prior_means: Model or functions that predict some quantities, see `prior_mean`.
+        prior_means: Model or functions that predict some quantities, see `prior_mean`, or the `means` of
+            models of a problem that differs in its reference point only.
 
     Raises:
         ProblemError: If a prior mean is of a quantity that is not modelled, or not a function of the
             variables.
+
+    Attributes:
+        means: Prior means of the quantities.
     """
 
     def __init__(
@@ -58,7 +62,7 @@ class Models:
         problem: Problem,
         settings: OptimizerSettings,
         seed: int,
-        prior_means: Prior | None = None,
+        prior_means: Prior | PriorMeans | None = None,
     ) -> None:
         self._problem = problem
         self._one_hot = problem.one_hot
@@ -68,8 +72,10 @@ class Models:
         )
         self._selection = Selection(self._seconds)
         self._seed = seed
-        self._means = PriorMeans(problem, {} if prior_means is None else prior_means)
-        self._compositions = compositions(problem, self._means)
+        if not isinstance(prior_means, PriorMeans):
+            prior_means = PriorMeans(problem, {} if prior_means is None else prior_means)
+        self.means = prior_means
+        self._compositions = compositions(problem, self.means)
         self._settings = settings
         self._steadiness = Steadiness(settings.noise, settings.drift)
         self._context = ContextInputs.of(Dataset(problem), self.drifts, settings.drift_time)
@@ -102,8 +108,8 @@ class Models:
                 plain if o.name in limits else process,
                 # One that is not inferred yet: no model is used before it is.
                 o.sign * o.reference if math.isfinite(o.reference) else 0.0,
-                mean=self._means.mean(o.name),
-                mean_gradient=self._means.gradient(o.name),
+                mean=self.means.mean(o.name),
+                mean_gradient=self.means.gradient(o.name),
                 contexts=self._context.count,
                 one_hot=self._one_hot,
             )
@@ -118,8 +124,8 @@ class Models:
                 processes[name] = GaussianProcess(
                     replace(process if single else plain, mean=mean),
                     limit=limits[name][0] if single else None,
-                    mean=self._means.mean(name),
-                    mean_gradient=self._means.gradient(name),
+                    mean=self.means.mean(name),
+                    mean_gradient=self.means.gradient(name),
                     contexts=self._context.count,
                     one_hot=self._one_hot,
                 )
@@ -509,8 +515,8 @@ class Models:
                 inputs[rows],
                 y[rows],
                 stddev[rows],
-                mean=self._means.mean(name),
-                mean_gradient=self._means.gradient(name),
+                mean=self.means.mean(name),
+                mean_gradient=self.means.gradient(name),
                 one_hot=self._one_hot,
                 limit=output.process.limit,
             )

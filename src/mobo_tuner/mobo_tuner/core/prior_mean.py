@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -63,9 +63,10 @@ class SeparateModels:
         n = len(next(iter(columns.values())))
         predicted = np.empty((n, len(self.functions)))
         for j, (name, function) in enumerate(self.functions.items()):
-            values = function(columns)
+            # What one does to its arguments is no business of the others.
+            values = function({variable: column.copy() for variable, column in columns.items()})
             try:
-                predicted[:, j] = np.asarray(values, dtype=float).reshape(n)
+                predicted[:, j] = _as_reals(values).reshape(n)
             except (TypeError, ValueError):
                 raise ProblemError(
                     f"the prior mean of '{name}' must return {n} numbers for as many set-points, "
@@ -91,8 +92,8 @@ class PriorMeans:
             each quantity.
 
     Raises:
-        ProblemError: If there is a function for a quantity that is not modelled, or the model does not give
-            finite numbers.
+        ProblemError: If there is a function for a quantity that is not modelled, or the model fails or does
+            not give finite numbers.
     """
 
     def __init__(self, problem: Problem, model: Prior) -> None:
@@ -101,9 +102,14 @@ class PriorMeans:
                 if not callable(function):
                     raise ProblemError(f"the prior mean of '{name}' must be a function")
             model = SeparateModels(model)
-        if not isinstance(model, PriorModel):
+        if not isinstance(model, PriorModel) or isinstance(model, type):
             raise ProblemError(
                 f"prior_means must be a model or a mapping of names, not {model!r:.60}"
+            )
+        names = model.outputs
+        if not isinstance(names, Sequence) or len(set(map(str, names))) < len(names):
+            raise ProblemError(
+                f"the outputs of the prior mean's model are {names!r:.60}; different names are allowed"
             )
         modelled = problem.required_diagnostics
         for name in model.outputs if isinstance(model, SeparateModels) else ():
@@ -155,7 +161,7 @@ class PriorMeans:
         return np.clip(x[:, : len(self._problem.variables)], -1.0, 1.0)
 
     def _predict(self, x: Array) -> Array:
-        return self._checked(self._model.predict(self._problem.columns(x)), len(x))
+        return self._checked(_answer(self._model.predict, self._problem.columns(x)), len(x))
 
     def _checked(self, predicted: object, n: int) -> Array:
         """Return predictions or derivatives ``(n, Q)`` of minimised quantities.
@@ -165,7 +171,7 @@ class PriorMeans:
         """
         names = self._model.outputs
         try:
-            values = np.asarray(predicted, dtype=float)
+            values = _as_reals(predicted)
         except (TypeError, ValueError):
             values = np.empty(0)
         if values.shape != (n, len(names)):
@@ -185,7 +191,15 @@ class PriorMeans:
         both = np.zeros((m, len(self._signs), 1 + d))
         if isinstance(self._model, SmoothPriorModel):
             columns = self._problem.columns(x)
-            values, slopes = self._model.predict_with_gradient(columns)
+            answer = _answer(self._model.predict_with_gradient, columns)
+            if not (
+                isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[1], Mapping)
+            ):
+                raise ProblemError(
+                    "predict_with_gradient of the prior mean's model must return predictions and a mapping of "
+                    f"derivatives, not {answer!r:.60}"
+                )
+            values, slopes = answer
             both[..., 0] = self._checked(values, m)
             for j, variable in enumerate(self._problem.variables):
                 if variable.name in slopes:
@@ -203,3 +217,31 @@ class PriorMeans:
         widths = (ahead - behind).sum(axis=2)[..., None]
         both[..., 1:] = np.moveaxis((further[0] - further[1]) / widths, 0, 2)
         return both
+
+
+def _answer(function: Callable[[Mapping[str, Array]], Any], columns: Mapping[str, Array]) -> Any:
+    """Return what a model answers.
+
+    Raises:
+        ProblemError: If it fails, whatever the reason.
+    """
+    try:
+        return function(columns)
+    except ProblemError:
+        raise
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise ProblemError(f"the model of the prior mean failed: {reason:.200}") from error
+
+
+def _as_reals(values: object) -> Array:
+    """Return numbers as an array.
+
+    Raises:
+        TypeError: If they are complex.
+        ValueError: If they are not numbers.
+    """
+    array = np.asarray(values)
+    if array.dtype.kind == "c":
+        raise TypeError("complex numbers")
+    return array.astype(float)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from gest_api import Generator
 from gest_api.vocs import VOCS
 
 from mobo_tuner.core import Optimizer, Problem, ProblemError
-from mobo_tuner.core.values import as_float
-from mobo_tuner.offline.vocs import problem_of, vocs_of
+from mobo_tuner.core.values import as_float, as_integer, describe
+from mobo_tuner.offline.vocs import measured_names, problem_of, vocs_of
 
 ID = "_id"
 """Key of a suggested point's identifier, by gest-api."""
@@ -72,13 +72,16 @@ class MoboGenerator(Generator):  # type: ignore[misc]  # gest-api has no types
         **overrides: Any,
     ) -> None:
         super().__init__(vocs)
-        if isinstance(batch_size, bool) or not isinstance(batch_size, int) or batch_size < 1:
-            raise ProblemError(f"batch_size is {batch_size!r}; an integer of at least 1 is allowed")
+        if isinstance(vocs, Problem) and references:
+            raise ProblemError(
+                "references are given, and a Problem, which has its own; one of the two is allowed"
+            )
         problem = vocs if isinstance(vocs, Problem) else problem_of(vocs, references)
         self.vocs = vocs_of(vocs) if isinstance(vocs, Problem) else vocs
         self.optimizer = Optimizer(problem, preset, seed, **overrides)
         self._named = not isinstance(vocs, Problem)  # whether points have the words of the VOCS
-        self._batch_size = batch_size
+        self._batch_size = as_integer("batch_size", batch_size, 1)
+        self._outputs = measured_names(problem)
         self._fixed = {v.name: v.fixed for v in problem.variables if v.fixed is not None}
         self._next_id = 0
         self._suggested: dict[int, dict[str, float]] = {}
@@ -98,8 +101,7 @@ class MoboGenerator(Generator):  # type: ignore[misc]  # gest-api has no types
         """
         points: list[dict[str, Any]] = []
         constants = {name: constant.value for name, constant in self.vocs.constants.items()}
-        count = self._batch_size if num_points is None else int(num_points)
-        for setpoint in self.optimizer.ask(count):
+        for setpoint in self.optimizer.ask(self._batch_size if num_points is None else num_points):
             self._suggested[self._next_id] = setpoint
             words = self.optimizer.problem.chosen(setpoint) if self._named else {}
             points.append({**setpoint, **words, **constants, ID: self._next_id})
@@ -112,26 +114,37 @@ class MoboGenerator(Generator):  # type: ignore[misc]  # gest-api has no types
         A point of which no objective and no constraint has a finite value counts as failed.
 
         Args:
-            results: For each point its variables, its outputs and, if it was suggested, its `_id`.
+            results: For each point its variables, its outputs and, if it was suggested, its `_id`; a
+                suggested point is also known by its variables.
 
         Raises:
-            ProblemError: If an `_id` is unknown or was ingested before, a variable is missing or a
-                value is not a number; nothing is learned then.
+            ProblemError: If the results are not a list of mappings, an `_id` is unknown or was ingested
+                before, a variable is missing or a value is not a number; nothing is learned then.
         """
+        if isinstance(results, Mapping) or not isinstance(results, Iterable):
+            raise ProblemError(f"the results must be a list of points, not {describe(results)}")
         read = [self._read(result) for result in results]
         known = [result.id for result in read if result.id is not None]
         for each in known:
             if each not in self._suggested or known.count(each) > 1:
                 raise ProblemError(f"{ID} is {each}; no pending point has it, or two results do")
         for result in read:
-            if result.id is not None:
-                suggested = self._suggested.pop(result.id)
+            identifier = result.id
+            if identifier is None:
+                same = (
+                    i for i, s in self._suggested.items() if s == result.setpoint and i not in known
+                )
+                identifier = next(same, None)
+            if identifier is not None:
+                suggested = self._suggested.pop(identifier)
                 if suggested != result.setpoint and suggested in self.optimizer.pending:
                     self.optimizer.cancel(suggested)
             self.optimizer.tell(result.setpoint, result.outputs)
 
     def _read(self, result: Mapping[str, Any]) -> _Result:
         """Return one result with its numbers as floats, if it fits the problem."""
+        if not isinstance(result, Mapping):
+            raise ProblemError(f"a result must be a mapping of names, not {describe(result)}")
         problem = self.optimizer.problem
         setpoint = {
             v.name: as_float(v.name, v.number(result.get(v.name, self._fixed.get(v.name))))
@@ -144,8 +157,10 @@ class MoboGenerator(Generator):  # type: ignore[misc]  # gest-api has no types
         setpoint |= problem.fidelity_of(setpoint)
         outputs = {
             name: as_float(name, result[name])
-            for name in self.vocs.output_names
+            for name in self._outputs
             if result.get(name) is not None
         }
-        identifier = as_float(ID, math.nan if result.get(ID) is None else result[ID])
-        return _Result(int(identifier) if identifier >= 0.0 else None, setpoint, outputs)
+        number = as_float(ID, math.nan if result.get(ID) is None else result[ID])
+        if number >= 0.0 and not number.is_integer():
+            raise ProblemError(f"{ID} is {number:g}; an integer is allowed")
+        return _Result(int(number) if number >= 0.0 else None, setpoint, outputs)

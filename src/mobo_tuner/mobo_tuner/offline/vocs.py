@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from gest_api.vocs import (
     VOCS,
     BaseConstraint,
@@ -22,6 +23,7 @@ from gest_api.vocs import (
 )
 
 from mobo_tuner.core import Problem, ProblemError
+from mobo_tuner.core.values import describe
 
 _DIRECTIONS = {MinimizeObjective: "minimize", MaximizeObjective: "maximize"}
 
@@ -30,14 +32,19 @@ def problem_of(vocs: VOCS, references: Mapping[str, float] = {}) -> Problem:
     """Return the problem that a VOCS defines.
 
     Args:
-        vocs: Variables, objectives, constraints and observables. Constants are no part of a problem.
+        vocs: Variables, objectives, constraints and observables. Constants are no part of a problem, nor are
+            observables that are not a number each, such as texts.
         references: Reference point by objective, which a VOCS lacks; those left out are inferred from
             what is measured.
 
     Raises:
-        ProblemError: If the VOCS has something that a problem cannot have, or a reference is not of
-            one of its objectives.
+        ProblemError: If it is no VOCS or has something that a problem cannot have, or a reference is not
+            of one of its objectives.
     """
+    if not isinstance(vocs, VOCS):
+        raise ProblemError(f"vocs must be a VOCS or a Problem, not {describe(vocs)}")
+    if not isinstance(references, Mapping):
+        raise ProblemError(f"references must be a mapping of names, not {describe(references)}")
     for name in references:
         if name not in vocs.objectives:
             raise ProblemError(
@@ -54,8 +61,10 @@ def problem_of(vocs: VOCS, references: Mapping[str, float] = {}) -> Problem:
             "constraints": {n: _constraint(n, c) for n, c in vocs.constraints.items()},
             "observables": {
                 name: {}
-                for name in vocs.observables
-                if name not in vocs.objectives and name not in vocs.constraints
+                for name, observable in vocs.observables.items()
+                if name not in vocs.objectives
+                and name not in vocs.constraints
+                and np.dtype(observable.dtype).kind in "fiu"  # None is a float
             },
         }
     )
@@ -64,8 +73,9 @@ def problem_of(vocs: VOCS, references: Mapping[str, float] = {}) -> Problem:
 def vocs_of(problem: Problem) -> VOCS:
     """Return the VOCS of a problem.
 
-    It lacks what a VOCS cannot say: units, costs, the reference point, the truncation box, scales and
-    limits between variables. A fixed variable becomes a constant, one of the fidelity a variable.
+    It lacks what a VOCS cannot say: units, costs, the reference point, the truncation box, scales,
+    formulas and limits between variables. A fixed variable becomes a constant, one of the fidelity a
+    variable, and what a derived quantity is made of an observable.
     """
     variables: dict[str, Any] = {}
     constants = {}
@@ -91,8 +101,15 @@ def vocs_of(problem: Problem) -> VOCS:
         objectives={o.name: o.direction.upper() for o in problem.objectives},
         constraints=constraints,
         constants=constants,
-        observables=[o.name for o in problem.observables],
+        observables=[n for n in measured_names(problem) if n not in problem.required_diagnostics],
     )
+
+
+def measured_names(problem: Problem) -> tuple[str, ...]:
+    """Return the names of all that may be measured, those of derived quantities included."""
+    observables = (o.name for o in problem.observables)
+    required = (*problem.required_diagnostics, *problem.measured_diagnostics)
+    return tuple(dict.fromkeys([*required, *observables]))
 
 
 def _variable(name: str, variable: BaseVariable) -> dict[str, Any]:
