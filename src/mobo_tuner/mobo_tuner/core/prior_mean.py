@@ -244,4 +244,4 @@ def _as_reals(values: object) -> Array:
     array = np.asarray(values)
     if array.dtype.kind == "c":
         raise TypeError("complex numbers")
-    return array.astype(float)
+    return np.asarray(array, dtype=float)
