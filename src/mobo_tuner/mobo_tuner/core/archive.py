@@ -18,7 +18,7 @@ from mobo_tuner.core.prior_mean import Prior
 from mobo_tuner.core.problem import Array, Problem, ProblemError, as_float
 from mobo_tuner.core.resolution import SAME
 from mobo_tuner.core.settings import OptimizerSettings
-from mobo_tuner.core.values import as_integer, as_numbers
+from mobo_tuner.core.values import as_integer
 
 _LONGEST_START = 4  # evaluations, as a multiple of the initial design, while most of them fail
 _OFTEN_PACKED = 500  # evaluations up to which the boxes are built again after each training
@@ -141,35 +141,35 @@ class Archive:
         return data.evaluations[np.flatnonzero(same)[-1]] if same.any() else None
 
     def _infer_references(self) -> None:
-        """Fill in what the reference point lacks, once and for all, when the initial design is done."""
+        """Fill in what the reference point lacks when the initial design is done.
+
+        It depends on as many evaluations as are needed, and so changes only if some of these are withdrawn.
+        """
         data = self.dataset
         if len(data) < self.initial_evaluations:
             return
-        problem = self.problem.with_references(
+        problem = self._given.with_references(
             data.objectives, data.valid, data.feasible, self.initial_evaluations
         )
-        if problem.has_references:
-            self._refer_to(problem)
-
-    def _refer_to(self, problem: Problem) -> None:
-        """Take over the problem with another reference point."""
-        self.problem = self.dataset.problem = problem
+        if problem == self.problem:
+            return
+        self.problem = data.problem = problem
         self.models = Models(problem, self._settings, self._seed, self.models.means)
-        if problem.has_references:
-            self._count_hypervolume()
+        self._count_hypervolume()
 
     def _learn_again(self) -> None:
         """Follow a change of what was told before."""
         self._forget_belief()
+        self._infer_references()
         with single_blas_thread():
             self.models.forget(self.dataset)
-        if self.problem.has_references:
-            self._count_hypervolume()
+        self._count_hypervolume()
 
     def _count_hypervolume(self) -> None:
         """Count the hypervolume of the readings again."""
-        self._boxes = BoxDecomposition(self.problem.reference_point)
-        self._packed = 0
+        self._boxes, self._packed, self.hypervolume_measured = _no_boxes(self.problem), 0, 0.0
+        if not self.problem.has_references:
+            return
         gains = [
             self._boxes.add(self._minimised(e)) for e in self.dataset.evaluations if e.feasible
         ]
@@ -315,9 +315,7 @@ class Archive:
 
     def get_state(self) -> dict[str, Any]:
         """Return what `set_state` needs beside the evaluations, as data for JSON."""
-        problem = self.problem
         return {
-            "reference_point": problem.reference_point.tolist() if problem.has_references else None,
             "hypervolume": self.hypervolume_measured,
             "packed": self._packed,
             "models": self.models.get_state(),
@@ -330,13 +328,6 @@ class Archive:
         Raises:
             ProblemError: If a value is not allowed or does not suit the evaluations.
         """
-        if "reference_point" in state and not self._given.has_references:
-            # What was withdrawn before it was inferred, and what after, is not known any more.
-            point, problem = state["reference_point"], self._given
-            if point is not None:
-                point = as_numbers("the state's reference_point", point)
-                problem = problem.with_reference_point(point)
-            self._refer_to(problem)
         for index, name in state["forgotten"]:
             self.forget(index, name)
         self.hypervolume_measured = as_float("the state's hypervolume", state["hypervolume"])

@@ -10,7 +10,7 @@ objective: everything else in the core minimises, as [Roussel2021]_ does.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -299,16 +299,12 @@ class Problem:
         margin = 0.1 * np.where(worst > best, worst - best, np.maximum(np.abs(worst), 1e-30))
         # With a reference better than a goal, nothing could improve.
         goals = [-math.inf if o.goal is None else o.sign * o.goal for o in self.objectives]
-        inferred = np.minimum(np.maximum(worst, goals) + margin, self.largest_reading)
-        return self.with_reference_point(inferred.tolist())
-
-    def with_reference_point(self, point: Sequence[float]) -> Problem:
-        """Return the problem with the components that it lacks of a point of minimised objectives ``(P,)``."""
+        inferred = np.minimum(np.maximum(worst, goals) + margin, self.largest_reading).tolist()
         return replace(
             self,
             objectives=tuple(
                 o.with_reference(o.sign * r) if math.isinf(o.reference) else o
-                for o, r in zip(self.objectives, point, strict=True)
+                for o, r in zip(self.objectives, inferred, strict=True)
             ),
         )
 
