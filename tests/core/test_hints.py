@@ -208,3 +208,19 @@ def test_where_all_readings_are_alike_a_reference_is_still_inferred() -> None:
         optimizer.tell(optimizer.ask(), {"f": 0.0, "g": -4.0})
     assert optimizer.problem.has_references
     assert 0.0 < optimizer.hypervolume < math.inf
+
+
+@pytest.mark.parametrize("direction", ["minimize", "maximize"])
+def test_a_reference_that_was_inferred_from_a_wild_reading_is_told(direction: str) -> None:
+    sign = 1.0 if direction == "minimize" else -1.0
+    optimizer = Optimizer(problem({"f": {"direction": direction}, "g": {}}), seed=1)
+    for i in range(14):
+        setpoint = optimizer.ask()
+        outputs = two(**setpoint)
+        optimizer.tell(setpoint, outputs | {"f": sign * (1e6 if i == 2 else outputs["f"])})
+    [hint] = optimizer.hints()
+    assert "evaluation 2" in hint
+    assert "objectives.f.reference" in hint
+    optimizer.forget(2, "f")
+    assert optimizer.hints() == []
+    assert abs(optimizer.problem.reference_point[0]) < 10.0

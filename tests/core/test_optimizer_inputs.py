@@ -213,7 +213,7 @@ def test_a_misspelt_output_is_warned_of_once() -> None:
         Problem.from_dict(PROBLEM | {"objectives": {"sigma_x": {"reference": 3.0}}}),
         initial_evaluations=2,
     )
-    with pytest.warns(UserWarning, match="'sigma_X'.*'sigma_x'"):
-        told.tell(AT, {"sigma_X": 1.0, "charge": 2.0})
-    told.tell(AT, {"sigma_X": 1.0})
+    with pytest.warns(UserWarning, match="'SIGMA_X'.*'sigma_x'"):
+        told.tell(AT, {"SIGMA_X": 1.0, "charge": 2.0})
+    told.tell(AT, {"SIGMA_X": 1.0})
     told.tell(AT, {"sigma_x": 1.0, "sigma_y": 1.0})

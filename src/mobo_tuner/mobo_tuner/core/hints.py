@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -88,6 +88,35 @@ def doubts(models: Mapping[str, GaussianProcess], belief: Belief, *, noisy: bool
                 f"the noise of {name} is larger than the gain: readings are off by {error:.3g}, and "
                 f"{where}; take more shots, or end the run"
             )
+    return sentences
+
+
+def doubtful_references(
+    given: Problem, data: Dataset, suspected: Sequence[tuple[int, str]]
+) -> list[str]:
+    """Return which inferred components of the reference point rest on a suspected reading.
+
+    Args:
+        given: Problem as it was given, without them.
+        data: Evaluations, with the problem that has them.
+        suspected: Suspected readings, by index and diagnostic.
+    """
+    sentences = []
+    for left_out, objective in zip(given.objectives, data.problem.objectives, strict=True):
+        if math.isfinite(left_out.reference) or math.isinf(objective.reference):
+            continue
+        readings = objective.sign * data.column(objective.name)
+        for index in [index for index, name in suspected if name == objective.name]:
+            others = np.delete(readings, index)
+            if (
+                np.nanmax(others, initial=-math.inf)
+                < readings[index]
+                < objective.sign * objective.reference
+            ):
+                sentences.append(
+                    f"the reference of {objective.reference:.4g} in {objective.name} was inferred from evaluation "
+                    f"{index}, whose reading is suspected: withdraw it, or set objectives.{objective.name}.reference"
+                )
     return sentences
 
 

@@ -18,7 +18,7 @@ from mobo_tuner.core.archive import Archive
 from mobo_tuner.core.batch import Pending
 from mobo_tuner.core.dataset import Dataset, Evaluation, Measured
 from mobo_tuner.core.focus import around, choose_on_front
-from mobo_tuner.core.hints import doubts, hints
+from mobo_tuner.core.hints import doubtful_references, doubts, hints
 from mobo_tuner.core.models import Models
 from mobo_tuner.core.optimizer_state import (
     STATE_VERSION,
@@ -220,11 +220,12 @@ class Optimizer:
         unknown = outputs.keys() - known
         if not unknown:
             return
+        folded = {name.casefold(): name for name in unknown}
         for name in known - self._told - outputs.keys():
-            for match in get_close_matches(name, unknown, n=1, cutoff=0.75):
+            for match in get_close_matches(name.casefold(), folded, n=1, cutoff=0.75):
                 self._told.add(name)
                 warnings.warn(
-                    f"the output '{match}' is unknown to the problem, and '{name}' is missing",
+                    f"the output '{folded[match]}' is unknown to the problem, and '{name}' is missing",
                     stacklevel=3,
                 )
         self._told |= known & outputs.keys()
@@ -241,15 +242,19 @@ class Optimizer:
         """Return what keeps the front empty, and what the models cannot explain, one sentence each.
 
         For example that no point is better than the reference in one objective, and by how much, that
-        a constraint was never met, that all readings of a diagnostic are alike, or that a model predicts
-        badly. The models are judged after every `JUDGE_PERIOD` evaluations.
+        a constraint was never met, that all readings of a diagnostic are alike, that a reference was
+        inferred from a suspected reading, or that a model predicts badly. The models are judged after
+        every `JUDGE_PERIOD` evaluations.
         """
         archive = self.archive
         if archive.models.ready and len(archive.dataset) >= self._judged_at + JUDGE_PERIOD:
             self._judged_at = len(archive.dataset)
             noisy = not archive.models.trusts_readings(archive.dataset)
             self._doubts = doubts(archive.models.by_output, archive.belief, noisy=noisy)
-        return hints(archive.dataset, archive.belief) + self._doubts
+        found = hints(archive.dataset, archive.belief)
+        if not self._given.has_references:
+            found += doubtful_references(self._given, archive.dataset, self.suspected)
+        return found + self._doubts
 
     @overload
     def ask(self) -> dict[str, float]: ...

@@ -369,7 +369,7 @@ class Problem:
 
         Raises:
             ProblemError: If a variable is missing or unknown, or its value is not a finite number or
-                farther from the bounds than `FARTHEST`.
+                farther from the bounds than `FARTHEST`, or the fidelity is not within its range.
         """
         if not isinstance(setpoint, Mapping):
             raise ProblemError(f"the set-point must be a mapping, not {describe(setpoint)}")
@@ -387,6 +387,7 @@ class Problem:
                     "is allowed"
                 )
             values.append(x)
+        self.fidelity_of(setpoint)
         return np.array(values)
 
     def denormalize(self, x: Array) -> dict[str, float]:
