@@ -104,8 +104,8 @@ def test_a_fidelity_outside_its_range_is_refused_and_nothing_is_learned() -> Non
     for wrong in (2.0, math.nan):
         with pytest.raises(ProblemError, match="set-point s"):
             optimizer.tell({"x": 0.1, "y": 0.1, "s": wrong}, {"f": 1.0})
+        with pytest.raises(ProblemError, match="set-point s"):
             optimizer.expected_gain({"x": 0.1, "y": 0.1, "s": wrong})
-
     assert len(optimizer.dataset) == 0
 
 
