@@ -230,3 +230,16 @@ def test_a_reading_of_a_context_lasts_until_the_next_one() -> None:
     data.forget(1)
     assert data.lasting("temperature").tolist() == [23.0] * 4
     assert np.isnan(data.lasting("humidity")).all()
+
+
+def test_evidence_of_drift_is_saved_where_all_was_measured_at_one_time() -> None:
+    bounds = {name: {"min": 0.0, "max": 1.0} for name in "xy"}
+    objectives = {name: {"reference": 2.0} for name in "fg"}
+    problem = Problem.from_dict({"variables": bounds, "objectives": objectives})
+    optimizer = Optimizer(problem, drift="auto")
+    for _ in range(12):
+        at = optimizer.ask()
+        x, y = at["x"], at["y"]
+        optimizer.tell(at, {"f": x + 0.1 * y, "g": 1.0 - x + 0.1 * y}, time=5.0)
+    restored = Optimizer.from_state(json.loads(json.dumps(optimizer.get_state())))
+    assert restored.ask() == optimizer.ask()

@@ -127,5 +127,5 @@ class Steadiness:
         for process, times in processes:
             if time.monotonic() > deadline:
                 return self
-            evidence += max(process.drift_evidence(times, timed), 0.0)
+            evidence += max(float(process.drift_evidence(times, timed)), 0.0)
         return replace(self, drift_evidence=evidence)
