@@ -154,3 +154,43 @@ def test_asking_what_is_expected_changes_nothing() -> None:
         curious.tell(asked, toy(asked))
     assert tune(plain, 9)[-1] == asked
     assert plain.get_state() == curious.get_state()
+
+
+def test_with_noise_the_merit_is_the_mean_gain_over_all_that_the_evaluations_may_be(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Evaluations and candidate are drawn together; the gain of each draw is counted by moocore."""
+    noise = np.random.default_rng(5)
+
+    def machine(x: Mapping[str, float]) -> dict[str, Any]:
+        read = toy(x) | {"g": x["x1"] + x["x2"]}
+        return {name: value + 0.3 * noise.normal() for name, value in read.items()}
+
+    optimizer = Optimizer(
+        with_changes(constraints={"g": {"max": 0.0}}), initial_evaluations=8, noise=0.3
+    )
+    tune(optimizer, 9, machine)
+    optimizer.ask()
+    archive, reference = optimizer.archive, optimizer.problem.reference_point
+    monkeypatch.setattr("mobo_tuner.core.merit._DRAWS", 512)
+    merit = Merit(archive, optimizer.settings, 0).acquisition_function()
+    assert merit is not None
+    x = np.array([[-0.4, 0.1], [0.3, -0.2]])
+    inputs = np.vstack([archive.dataset.inputs, x])
+    rng = np.random.default_rng(1)
+    f1, f2, g = (
+        model.sample(inputs, rng.standard_normal((3000, len(inputs))))
+        for model in (*archive.models.objectives, archive.models.constraints[0][0])
+    )
+    gains = np.zeros((3000, 2))
+    for draw in range(3000):
+        values, feasible = np.column_stack([f1[draw], f2[draw]]), g[draw] <= 0.0
+        front = values[:-2][feasible[:-2]]
+        volume = moocore.hypervolume(front, ref=reference) if len(front) else 0.0
+        for k in np.flatnonzero(feasible[-2:]):
+            more = np.vstack([front, values[len(values) - 2 + k]])
+            gains[draw, k] = moocore.hypervolume(more, ref=reference) - volume
+    expected = gains.mean(axis=0)
+    error = gains.std(axis=0) * math.sqrt(1.0 / 3000.0 + 1.0 / 512.0)
+    assert (error < 0.15 * expected).all()
+    assert (np.abs(np.exp(merit.log_value(x)) - expected) < 4.0 * error).all()

@@ -107,14 +107,17 @@ class CandidateSearch:
         number of evaluations, and may be worth as much as all that was found before: it is chosen if the
         candidate promises less. It is chosen at every second evaluation, too, while the front does not
         move: then the models promise too much, unless what they promised missed a constraint only, which is
-        learned where it was missed. With one objective, or weights, the best point is sought
+        learned where it was missed. With weights, or one objective without noise, the best point is sought
         to the last digit, and nothing is explored; nor where the machine varies, a reference point is out of
         reach, which is approached first, or readings are noisy and nothing is feasible yet: then what lacks
         little of a limit may meet it.
         """
         chance, n, belief = self._settings.exploration, len(self._data), self._archive.belief
-        single = len(self._problem.objectives) == 1 or self._settings.weights is not None
-        if chance == 0.0 or single or self._models.varies:
+        trusted = self._models.trusts_readings(self._data)
+        exact = self._settings.weights is not None or (
+            len(self._problem.objectives) == 1 and trusted
+        )
+        if chance == 0.0 or exact or self._models.varies:
             return False
         front = belief.front_rows()
         if belief.feasible.any():
@@ -122,7 +125,7 @@ class CandidateSearch:
                 return False
             if self._merit.expected_gain(found) < chance / n:
                 return True
-        elif not self._models.trusts_readings(self._data):
+        elif not trusted:
             return False
         told = np.flatnonzero(self._data.highest[: n - self._archive.expected])
         last = int(told[-_PATIENCE]) if len(told) >= _PATIENCE else -1

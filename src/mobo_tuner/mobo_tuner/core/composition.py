@@ -192,16 +192,6 @@ class ComposedProcess(GaussianProcess):
                 values[undefined] = instead
         return composed
 
-    def drawn(self, count: int, rng: np.random.Generator) -> list[GaussianProcess]:
-        """Return what `GaussianProcess.drawn` does; the draws of the parts are independent."""
-        signs = [sign for sign, _ in self._parts]
-        draws = [process.drawn(count, rng) for _, process in self._parts]
-        models: list[GaussianProcess] = []
-        for direct, *parts in zip(self._direct.drawn(count, rng), *draws, strict=True):
-            named = zip(self._composition.parts, zip(signs, parts, strict=True), strict=True)
-            models.append(ComposedProcess.of(direct, self._composition, dict(named)))
-        return models
-
     def sample(self, x: FloatArray, normals: FloatArray) -> FloatArray:  # type: ignore[override]
         """Return what `GaussianProcess.sample` does; the draws of the parts are independent."""
         x = np.asarray(x, dtype=float)

@@ -1,4 +1,8 @@
-"""The merit of measuring at a point, by what is known: the acquisition function and the expected gain."""
+"""The merit of measuring at a point, by what is known: the acquisition function and the expected gain.
+
+.. [Daulton2021] S. Daulton, M. Balandat, E. Bakshy, "Parallel Bayesian optimization of multiple noisy
+   objectives with expected hypervolume improvement", NeurIPS 34, 2187 (2021).
+"""
 
 from __future__ import annotations
 
@@ -19,11 +23,12 @@ from mobo_tuner.core.acquisition import (
     beta_schedule,
 )
 from mobo_tuner.core.archive import Archive
+from mobo_tuner.core.belief import believe
 from mobo_tuner.core.constraints import ProbabilityOfFeasibility, ValidityWeight, violation
-from mobo_tuner.core.dataset import BoolArray
 from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.hints import nearest_to_reference
 from mobo_tuner.core.hypervolume import BoxDecomposition
+from mobo_tuner.core.models import Models
 from mobo_tuner.core.problem import Array
 from mobo_tuner.core.proximal import ProximalBiasing
 from mobo_tuner.core.scalarisation import WeightedSum
@@ -68,19 +73,21 @@ class Merit:
                 the limits if none meets them.
             tails: Whether improvements that underflow are needed.
         """
-        known = self._models.known
-        limits = self._models.constraints
+        models = self._models
+        limits = models.constraints
         factors = self._factors(limits)
         # Without a feasible point there is no front to improve: feasibility comes first.
-        if limits and not (known.any() and self._archive.belief.feasible.any()):
+        if limits and not (models.known.any() and self._archive.belief.feasible.any()):
             if not all(map(self._is_informed, limits)):
                 return None
             return reduce(mul, self._factors(self._half_way()) if nearest else factors)
-        if all(m.is_constant for m in self._models.objectives if m.n):
+        if all(m.is_constant for m in models.objectives if m.n):
             return None
         if not self._problem.has_references:  # some objective was never measured
             return None
-        return reduce(mul, [self._improvement(known, nearest, tails), *factors])
+        if not nearest and self._should_draw():
+            return reduce(mul, [self._mean_of_draws(tails), *self._factors([])])
+        return reduce(mul, [self._improvement(models, nearest, tails), *factors])
 
     def weight(self, feasible: bool) -> AcquisitionFunction | None:
         """Return the factors of the acquisition function without the improvement; None if there are none.
@@ -125,7 +132,7 @@ class Merit:
             return False
         if found is None:
             return True
-        improvement = self._improvement(self._models.known).log_value(found[None])[0]
+        improvement = self._improvement(self._models).log_value(found[None])[0]
         models = self._models.objectives
         if self._settings.weights is not None:
             spreads = [
@@ -208,19 +215,20 @@ class Merit:
         return not model.is_constant and model.skill > _SKILL
 
     def _improvement(
-        self, known: BoolArray, nearest: bool = False, tails: bool = True
+        self, models: Models, nearest: bool = False, tails: bool = True
     ) -> AcquisitionFunction:
         """Return the acquisition function of the objectives that were measured at least once.
 
         Args:
-            known: Which objectives these are ``(P,)``.
+            models: Models of the archive, or a draw of them.
             nearest: Whether the evaluation that comes nearest to the reference point takes its place
                 where that is better than it.
             tails: Whether improvements that underflow are needed.
         """
-        settings, belief = self._settings, self._archive.belief
+        settings, known = self._settings, models.known
+        belief = self._archive.belief if models is self._models else believe(self._data, models)
         chosen = ACQUISITION_FUNCTIONS.find(settings.acquisition)
-        models = tuple(m for m, k in zip(self._models.objectives, known, strict=True) if k)
+        objectives = tuple(m for m, k in zip(models.objectives, known, strict=True) if k)
         values = belief.objectives[belief.feasible][:, known]
         reference = self._problem.reference_point[known]
         if nearest:
@@ -233,40 +241,42 @@ class Merit:
             weights = np.array(settings.weights)[known]
             if not weights.any():  # nothing that counts was measured yet
                 weights = np.ones(len(weights))
-            summed: tuple[Model, ...] = (WeightedSum(models, weights),)
+            summed: tuple[Model, ...] = (WeightedSum(objectives, weights),)
             sums = (values @ weights)[:, None]
             worst = np.array([sums.max() if nearest else reference @ weights])
             least = partial(BoxDecomposition, worst, sums)
             return chosen.of(Knowledge(summed, sums, worst, beta, least))
         truncation = (lower, reference) if np.isfinite(lower).any() else None
-        if not nearest and self._should_draw(chosen):
-            rng = np.random.default_rng([self._seed, 6, len(self._data)])
-            inputs = self._data.inputs[belief.feasible]
-            improvements = []
-            for drawn in zip(*(m.drawn(_DRAWS, rng) for m in self._models.objectives), strict=True):
-                values = np.column_stack([model.predict(inputs)[0] for model in drawn])
-                boxes = partial(BoxDecomposition, reference, values)
-                knowledge = Knowledge(drawn, values, reference, beta, boxes, truncation, tails)
-                improvements.append(chosen.of(knowledge))
-            return Average(improvements)
 
         def front() -> BoxDecomposition:
-            boxes = self._archive.front()
-            special = nearest or not known.all()
-            return BoxDecomposition(reference, values) if special else boxes
+            if models is self._models and known.all() and not nearest:
+                return self._archive.front()
+            return BoxDecomposition(reference, values)
 
-        return chosen.of(Knowledge(models, values, reference, beta, front, truncation, tails))
+        return chosen.of(Knowledge(objectives, values, reference, beta, front, truncation, tails))
 
-    def _should_draw(self, chosen: type[AcquisitionFunction]) -> bool:
+    def _mean_of_draws(self, tails: bool) -> AcquisitionFunction:
+        """Return the mean of improvement times probability of feasibility over draws of the outputs.
+
+        In each draw, every output is known at all evaluations, and so are the front and what is feasible:
+        the noisy expected hypervolume improvement of [Daulton2021]_.
+        """
+        rng = np.random.default_rng([self._seed, 6, len(self._data)])
+        functions = []
+        for models in self._models.drawn(_DRAWS, rng):
+            limits = [ProbabilityOfFeasibility(*limit) for limit in models.constraints]
+            functions.append(reduce(mul, [self._improvement(models, tails=tails), *limits]))
+        return Average(functions)
+
+    def _should_draw(self) -> bool:
         """Return whether the improvement is the mean over draws of the functions at noisy evaluations.
 
         Against the means alone, what is uncertain about a measured point promises an improvement at just
         that point, and the search stays there.
         """
-        models = self._models
+        chosen, models = ACQUISITION_FUNCTIONS.find(self._settings.acquisition), self._models
         return (
             issubclass(chosen, ExpectedHypervolumeImprovement)
-            and len(models.objectives) > 1  # with one, it was not measured, and a start got stuck
             and not (models.trusts_readings(self._data) or models.varies)
             and bool(models.known.all() and self._archive.belief.feasible.any())
             and not any(model.contexts for model in models.objectives)

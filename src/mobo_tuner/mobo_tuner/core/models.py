@@ -270,6 +270,24 @@ class Models:
         other.validity, other._judged = self.validity, len(data)
         return other
 
+    def drawn(self, count: int, rng: np.random.Generator) -> list[Models]:
+        """Return models that know every output at its observations, one for each draw of these; O(n^3).
+
+        Args:
+            count: Number of draws, a power of two; those of an output are evenly spread.
+            rng: Random number generator.
+        """
+        draws = {output.name: output.process.drawn(count, rng) for output in self.learned}
+        models = []
+        for i in range(count):
+            other = copy(self)
+            other._outputs = {name: copy(output) for name, output in self._outputs.items()}
+            for name, processes in draws.items():
+                other._outputs[name].process = processes[i]
+            other._compose()
+            models.append(other)
+        return models
+
     def update(self, data: Dataset) -> bool:
         """Learn the evaluations that are new, training when it is time to.
 
