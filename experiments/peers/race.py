@@ -90,8 +90,8 @@ def hypervolumes(benchmark: Benchmark, values: FloatArray) -> FloatArray:
     return np.cumsum(gains) / benchmark.unit
 
 
-class _TimeIsUpError(Exception):
-    """The run has used its CPU time."""
+class _TimeIsUpError(BaseException):
+    """The run has used its CPU time; whatever it is doing then, it may not take this for a failure of its own."""
 
 
 @contextmanager
