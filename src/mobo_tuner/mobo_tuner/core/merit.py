@@ -41,7 +41,7 @@ _MOST_HALVINGS = 12
 _HOPELESS = 1e-4  # expected improvement of each objective, as a share of its spread
 _DRAWS = 8  # of the function at noisy evaluations
 _MOST_DRAWN = 100  # evaluations up to which it is drawn; many are known well by their means
-_MOST_BOXES = 200  # of the believed front, up to which one for each draw takes little time
+_MOST_BOXES = 100  # of the believed front, up to which one for each draw takes little time
 _SKILL = 0.5  # least share of their variance that a model must explain to be followed
 
 
