@@ -15,7 +15,7 @@ from unittest.mock import ANY
 import pytest
 
 from mobo_tuner.errors import ParameterError
-from mobo_tuner.offline.simulation import Simulation
+from mobo_tuner.offline.simulation import Simulation, command_of
 from mobo_tuner.offline.watchdog import GRACE
 
 TIMEOUT = 20.0
@@ -88,6 +88,28 @@ def test_each_has_a_folder_in_which_its_files_stay(simulation: Make, tmp_path: P
 )
 def test_what_goes_wrong_is_said(simulation: Make, program: str, words: str) -> None:
     outcome = simulation(program).run(0, {"x": 0.5})
+    assert words in outcome.error
+    assert outcome.outputs == {}
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("raise ValueError('the mesh is too coarse\\nfor this bunch')", "the mesh is too coarse"),
+        ("return {'f': 'large'}", "'f'"),
+        ("return {'f': [1.0, 2.0]}", "'f'"),
+        ("return 1.0", "1.0"),
+    ],
+)
+def test_what_goes_wrong_in_a_function_is_said(tmp_path: Path, body: str, words: str) -> None:
+    file = tmp_path / "beam.py"
+    file.write_text(f"def simulate(point):\n    {body}\n")
+    command = command_of({"command": "", "function": "beam.py:simulate"}, tmp_path)
+    made = Simulation(command, TIMEOUT, tmp_path / "simulations")
+    try:
+        outcome = made.run(0, {"x": 0.5})
+    finally:
+        made.stop()
     assert words in outcome.error
     assert outcome.outputs == {}
 

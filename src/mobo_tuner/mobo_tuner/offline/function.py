@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+import traceback
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -29,13 +30,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     if check:
         return 0
-    outputs = function(json.loads(sys.stdin.readline()))
+    try:
+        outputs = function(json.loads(sys.stdin.readline()))
+    except Exception as error:
+        traceback.print_exc()
+        if "\n" in str(error):  # the last line says what went wrong
+            print(f"{type(error).__name__}: {' '.join(str(error).split())}", file=sys.stderr)
+        return 1
     if not isinstance(outputs, Mapping):
         print(
             f"{place} returned {outputs!r:.60}, not a mapping of outputs by name", file=sys.stderr
         )
         return 1
-    numbers = {str(name): math.nan if v is None else float(v) for name, v in outputs.items()}
+    numbers = {}
+    for output, value in outputs.items():
+        try:
+            numbers[str(output)] = math.nan if value is None else float(value)
+        except (TypeError, ValueError):
+            print(f"{place} returned {value!r:.40} for '{output}', not a number", file=sys.stderr)
+            return 1
     print()  # whatever the function printed, the outputs are a line of their own
     print(json.dumps({name: v if math.isfinite(v) else None for name, v in numbers.items()}))
     return 0
