@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
-from scipy.stats import qmc
 
 from mobo_tuner.core.context_kernel import Contextual
 from mobo_tuner.core.evidence import NoiseEvidence, drift_evidence, noise_evidence
@@ -340,6 +339,8 @@ class GaussianProcess:
             count: Number of draws, a power of two; they are evenly spread.
             rng: Random number generator.
         """
+        from scipy.stats import qmc  # takes half a second, which the start of a node can spare
+
         state = self._fitted
         uniform = qmc.Sobol(self.n, seed=rng).random(count)
         normals = ndtri(np.clip(uniform, _LEAST_QUANTILE, 1.0 - _LEAST_QUANTILE))

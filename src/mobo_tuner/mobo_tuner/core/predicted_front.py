@@ -7,7 +7,6 @@ dominates survive each generation, except for some in crowded regions.
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import qmc
 
 from mobo_tuner.core.models import Models
 from mobo_tuner.core.pareto import is_below, is_nondominated
@@ -39,6 +38,8 @@ def predict_front(
         The set-points ``(k, d)`` in [-1, 1], and the means and standard deviations ``(k, P)`` of the
         minimised objectives; k is at most `size` and may be 0.
     """
+    from scipy.stats import qmc  # takes half a second, which the start of a node can spare
+
     d = len(problem.variables)
     front = 2.0 * qmc.Sobol(d, seed=rng).random(_FIRST) - 1.0
     front = np.vstack([front, np.clip(known, -1.0, 1.0)])

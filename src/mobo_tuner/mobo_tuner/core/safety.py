@@ -15,7 +15,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.stats import qmc
 
 from mobo_tuner.core.archive import Archive
 from mobo_tuner.core.constraints import log_probability_between
@@ -124,6 +123,8 @@ class SafeSearch:
 
     def _near(self, centers: Array, reach: float, count: int) -> Array:
         """Return points of the domain near some, and within the trust distance of a safe evaluation."""
+        from scipy.stats import qmc  # takes half a second, which the start of a node can spare
+
         d, domain = centers.shape[1], self._problem.domain
         chosen = centers[self._rng.integers(len(centers), size=count)]
         steps = 2.0 * qmc.Sobol(d, seed=self._rng).random(count) - 1.0
