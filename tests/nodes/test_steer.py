@@ -48,13 +48,14 @@ class Shell:
 
 @pytest.fixture
 def shell(
+    request: pytest.FixtureRequest,
     start_node: NodeStarter,
     start_machine: Start,
     start_tuner: Start,
     capsys: pytest.CaptureFixture[str],
 ) -> Shell:
-    """A shell where a tuner and a machine of the toy problem are running."""
-    start_machine("speed:=2.0")  # evaluations take long enough for commands
+    """A shell where a tuner and a machine of the toy problem are running, which may be a slow one."""
+    start_machine(f"speed:={getattr(request, 'param', 2.0)}")
     start_tuner("initial_evaluations:=4")
     return Shell(start_node, capsys)
 
@@ -66,7 +67,11 @@ def test_a_run_is_steered(shell: Shell) -> None:
     console = shell.tune()
     wait_until(lambda: len(console.stdout.splitlines()) >= 6, "evaluations", 60.0)
     assert "evaluation" in shell("pause")
-    wait_until(lambda: shell("status").startswith("paused; run "), "the end of the evaluation")
+    wait_until(
+        lambda: shell("status").startswith("paused; run "),
+        "the end of the evaluation",
+        period=0.3,  # [s]; each call is a node of its own
+    )
     assert shell("queue", "x1=0.5", "x2=-1e-1") == "set-points in the queue: 1\n"
     view = shell.begin("watch")
     wait_until(lambda: "evaluation" in view.stdout, "the view")
@@ -88,13 +93,22 @@ def test_a_run_is_steered(shell: Shell) -> None:
     wait_until(lambda: " of 900 done" in view.stdout, "the step")
     assert "paused: " in view.stdout
     shell("continue")
-    wait_until(lambda: steer.run(["skip"]) == 0, "an evaluation in flight")
     assert "evaluation" in shell("stop")
     assert console.wait(30.0) == 0
     assert view.wait(30.0) == 0
     assert re.search(r"run \S+ has ended \(stopped\): \d+ of 900", view.stdout.splitlines()[-1])
     indices = [int(i) for i in re.findall(r"^evaluation +(\d+),", view.stdout, re.MULTILINE)]
     assert indices == list(range(len(indices)))
+
+
+@pytest.mark.parametrize("shell", [0.001], indirect=True)  # an evaluation takes ten seconds
+def test_an_evaluation_in_flight_is_skipped(shell: Shell) -> None:
+    console = shell.tune()
+    wait_until(lambda: shell("status").startswith("evaluating"), "an evaluation", period=0.3)
+    assert shell("skip") == "evaluation 0 is skipped, which counts as failed\n"
+    wait_until(lambda: re.search(r"^evaluation +0,", console.stdout, re.MULTILINE), "its line")
+    assert "canceled" in shell("cancel")
+    assert console.wait() == 130
 
 
 def test_a_run_is_watched_for_a_while_and_canceled_from_elsewhere(shell: Shell) -> None:

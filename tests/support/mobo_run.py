@@ -59,14 +59,20 @@ class Run:
         [pid] = [pid for pid, words in self.processes().items() if module in words]
         return pid
 
-    def until(self, condition: Callable[[], object], what: str, timeout: float = TIMEOUT) -> None:
+    def until(
+        self,
+        condition: Callable[[], object],
+        what: str,
+        timeout: float = TIMEOUT,
+        period: float = 0.05,
+    ) -> None:
         deadline = time.monotonic() + timeout
         while not condition():
             if self.process.poll() is not None:
                 pytest.fail(f"the run ended before {what}: {self.wait()}")
             if time.monotonic() > deadline:
                 pytest.fail(f"waited {timeout:g} s in vain for {what}")
-            time.sleep(0.02)
+            time.sleep(period)
 
     def assert_nothing_left(self, timeout: float = 2.0) -> None:
         deadline = time.monotonic() + timeout

@@ -28,7 +28,8 @@ def test_a_run_is_steered_from_another_terminal(start: Callable[..., Run]) -> No
 
     run.until(lambda: len(run.evaluations()) > 2, "evaluations")
     mobo("pause")
-    run.until(lambda: mobo("status").startswith("paused; run run: "), "the pause")
+    paused = "paused; run run: "
+    run.until(lambda: mobo("status").startswith(paused), "the pause", period=0.3)
     before = len(run.evaluations())
     mobo("queue", "x1=0.5", "x2=-0.1")
     mobo("set", "variables.x1.max=1.5", "objectives.f1.truncation=[0,5.5]", "evaluations=900")
