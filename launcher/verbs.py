@@ -37,6 +37,7 @@ _PARALLEL_TESTS = (
     "3",
     "--dist",
     "loadfile",
+    "--no-loadscope-reorder",  # tests/conftest.py orders them
     "--reruns",
     "1",
     "--rerun-show-tracebacks",

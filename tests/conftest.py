@@ -7,9 +7,9 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
-import pytest_timeout
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -46,12 +46,35 @@ def pytest_configure(config: pytest.Config) -> None:
     config.add_cleanup(wait)
 
 
+TIME_LIMIT = pytest.StashKey[Any]()
+LONGEST = (
+    "system/test_resume.py",
+    "core/test_belief.py",
+    "system/test_machines.py",
+    "core/test_hints.py",
+    "offline/test_campaign.py",
+    "core/test_context.py",
+    "system/test_run.py",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take longest, so that no process is left alone with one of them."""
+    places = {Path(__file__).parent / name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path, len(LONGEST)))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_timeout_set_timer(item: pytest.Item, settings: Any) -> None:
+    """Keep a test's limit of time; pytest-timeout sets its timer."""
+    item.stash[TIME_LIMIT] = settings
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_exception_interact(node: pytest.Item | pytest.Collector) -> None:
     """Limit the end and the second try of a test that failed, too: its failure has stopped its timer."""
-    if isinstance(node, pytest.Item):
-        settings = pytest_timeout._get_item_settings(node)
-        node.ihook.pytest_timeout_set_timer(item=node, settings=settings)
+    if isinstance(node, pytest.Item) and TIME_LIMIT in node.stash:
+        node.ihook.pytest_timeout_set_timer(item=node, settings=node.stash[TIME_LIMIT])
 
 
 @pytest.fixture

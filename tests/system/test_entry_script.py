@@ -509,7 +509,7 @@ def test_the_tests_get_their_arguments_and_give_their_status(
     assert project.run("test", "-k", "name", "--help") == (5, "-k name --help None\n", "")
     assert project.run("test") == (
         5,
-        "-n 3 --dist loadfile --reruns 1 --rerun-show-tracebacks -rR None\n",
+        "-n 3 --dist loadfile --no-loadscope-reorder --reruns 1 --rerun-show-tracebacks -rR None\n",
         "",
     )
 
