@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import subprocess
 import sys
 from graphlib import CycleError, TopologicalSorter
@@ -86,17 +87,23 @@ assert optimizer.hypervolume > 3.0, optimizer.hypervolume
     assert done.returncode == 0, done.stderr
 
 
-def imports(path: Path) -> set[str]:
+@functools.cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@functools.cache
+def imports(path: Path) -> frozenset[str]:
     """Every module that a file names in an import, also where only types are checked."""
     names = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path} has a relative import"
             assert node.module
             names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
         elif isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
-    return names
+    return frozenset(names)
 
 
 def module_name(path: Path) -> str:
@@ -112,7 +119,7 @@ def test_what_knows_no_ros_imports_none() -> None:
             assert not foreign, f"{path} imports {foreign}"
 
 
-def rooms_of(names: set[str]) -> set[str]:
+def rooms_of(names: frozenset[str]) -> set[str]:
     """The rooms of the package that some modules are in."""
     parts = [name.split(".") for name in names if name.startswith("mobo_tuner.")]
     return {part[1] for part in parts if part[1] in ROOMS}
@@ -148,8 +155,7 @@ def test_the_package_knows_no_machine_by_name() -> None:
     quantities = set(Problem.from_yaml(ROOT / "config" / "awa.yaml").objective_names)
     assert quantities >= {"dE", "eps_x"}
     for path in PACKAGE.rglob("*.py"):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        values = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)}
+        values = {node.value for node in ast.walk(parsed(path)) if isinstance(node, ast.Constant)}
         assert not quantities & {v for v in values if isinstance(v, str)}, path
 
 
@@ -197,7 +203,7 @@ def _own_attribute(node: ast.AST) -> str:
 
 def test_private_names_stay_in_their_module_and_class() -> None:
     for path in SHIPPED:
-        found = private_uses(ast.parse(path.read_text(encoding="utf-8")))
+        found = private_uses(parsed(path))
         wrapped = {name.split(".")[-1] for name, by in WRAPPED.items() if path.match(by)}
         assert not {*found} - wrapped, f"{path} uses {found}"
 

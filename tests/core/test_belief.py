@@ -112,15 +112,21 @@ def test_failures_by_chance_cost_little_more_than_the_evaluations_lost(
     assert mean_hypervolume(told=True) >= share * mean_hypervolume(told=False)
 
 
-@pytest.mark.parametrize(
-    "gained", [problem("f", "g", "h"), problem("f", "g", constraints={"h": {"max": 0.5}})]
-)
-def test_a_problem_that_gains_a_quantity_continues_from_what_there_is(gained: Problem) -> None:
+@pytest.fixture(scope="module")
+def before_it_gained() -> Optimizer:
     def without_h(_: int, outputs: dict[str, float]) -> Mapping[str, Any]:
         return {"f": outputs["f"], "g": outputs["g"]}
 
-    first = tune(Optimizer(problem("f", "g"), seed=1), 14, without_h)
-    grown = first.with_problem(gained)
+    return tune(Optimizer(problem("f", "g"), seed=1), 14, without_h)
+
+
+@pytest.mark.parametrize(
+    "gained", [problem("f", "g", "h"), problem("f", "g", constraints={"h": {"max": 0.5}})]
+)
+def test_a_problem_that_gains_a_quantity_continues_from_what_there_is(
+    before_it_gained: Optimizer, gained: Problem
+) -> None:
+    grown = before_it_gained.with_problem(gained)
     assert not grown.dataset.failed.any()
     assert grown.hypervolume == 0.0  # nothing is known of h yet
     tune(grown, 10)
@@ -195,7 +201,7 @@ def noisy(stddev: float, seed: int, told: bool) -> Machine:
 def test_where_readings_are_noisy_the_front_is_that_of_the_models(
     stddev: float, error: float, told: bool
 ) -> None:
-    optimizer = tune(Optimizer(problem("f", "g"), seed=1), 36, noisy(stddev, 5, told))
+    optimizer = tune(Optimizer(problem("f", "g"), seed=1), 24, noisy(stddev, 5, told))
     true = true_hypervolume(optimizer)
     assert optimizer.hypervolume == pytest.approx(true, rel=error)
     assert optimizer.hypervolume_measured > true

@@ -76,7 +76,7 @@ def two_wells(x: Mapping[str, float]) -> dict[str, Any]:
 
 def test_what_the_models_do_not_foresee_is_found() -> None:
     optimizer = Optimizer(Problem.from_dict(TOY), seed=3)
-    tune(optimizer, 60, two_wells)
+    tune(optimizer, 44, two_wells)
     assert optimizer.hypervolume > 14.0  # without the wells it is 3.3
 
 
@@ -133,6 +133,6 @@ def test_awkward_machines_get_finite_candidates_inside_the_bounds(
     machine: Machine, preset: str
 ) -> None:
     optimizer = Optimizer(Problem.from_dict(TOY), preset=preset, seed=1, initial_evaluations=4)
-    for x in tune(optimizer, 9, machine):
+    for x in tune(optimizer, 7, machine):
         assert all(-2.0 <= value <= 2.0 for value in x.values())
     assert math.isfinite(optimizer.hypervolume)

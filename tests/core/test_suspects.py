@@ -26,14 +26,26 @@ def truth(x: float, y: float) -> dict[str, float]:
     return {"f": math.hypot(x - 1.0, y - 1.0), "g": math.hypot(x + 1.0, y + 1.0)}
 
 
-def tune(wrong: Mapping[int, Mapping[str, float]], evaluations: int = 32) -> Optimizer:
-    """Tune a machine that reads `wrong` outputs in some evaluations."""
-    optimizer = Optimizer(PROBLEM, seed=0)
-    for i in range(evaluations):
+def go_on(
+    optimizer: Optimizer, evaluations: int, wrong: Mapping[int, Mapping[str, float]] | None = None
+) -> Optimizer:
+    """Tune a machine that reads `wrong` outputs in some evaluations, up to a number of them."""
+    for i in range(len(optimizer.dataset), evaluations):
         setpoint = optimizer.ask()
-        optimizer.tell(setpoint, truth(**setpoint) | dict(wrong.get(i, {})))
+        optimizer.tell(setpoint, truth(**setpoint) | dict((wrong or {}).get(i, {})))
     optimizer.catch_up()
     return optimizer
+
+
+def copy_of(optimizer: Optimizer) -> Optimizer:
+    return Optimizer.from_state(json.loads(json.dumps(optimizer.get_state())))
+
+
+@pytest.fixture(scope="module")
+def right() -> dict[int, Optimizer]:
+    """The tuning of a machine that reads nothing wrong, by its number of evaluations."""
+    optimizer = Optimizer(PROBLEM, seed=0)
+    return {n: copy_of(go_on(optimizer, n)) for n in (8, 18, 24, 28, 32, 70)}
 
 
 def visited(optimizer: Optimizer) -> float:
@@ -87,12 +99,14 @@ def test_equal_readings_that_may_be_right_are_not_suspected() -> None:
     assert found(along, of_one) == []
 
 
-def test_an_instrument_that_has_stopped_for_a_while_costs_next_to_nothing() -> None:
-    right = tune({}, 28)
-    wrong = {i: {"f": right.dataset.evaluations[17].values["f"]} for i in range(18, 22)}
-    stopped = tune(wrong, 32)
+def test_an_instrument_that_has_stopped_for_a_while_costs_next_to_nothing(
+    right: dict[int, Optimizer],
+) -> None:
+    last = right[18].dataset.evaluations[17].values["f"]
+    wrong = {i: {"f": last} for i in range(18, 22)}
+    stopped = go_on(copy_of(right[18]), 32, wrong)
     assert stopped.suspected == [(i, "f") for i in wrong]
-    assert visited(stopped) >= 0.98 * visited(right)
+    assert visited(stopped) >= 0.98 * visited(right[28])
 
 
 @pytest.mark.parametrize("by", [4.0, -4.0, 30.0, 1e6])
@@ -153,23 +167,26 @@ def test_readings_of_an_instrument_that_failed_for_a_while_do_not_confirm_each_o
 
 
 @pytest.mark.parametrize("wild", [{"f": 10.0}, {"g": 1e6}, {"f": 0.0, "g": 0.0}, {"f": -50.0}])
-def test_one_wild_reading_costs_next_to_nothing(wild: dict[str, float]) -> None:
-    clean, optimizer = tune({}), tune({8: wild})
+def test_one_wild_reading_costs_next_to_nothing(
+    right: dict[int, Optimizer], wild: dict[str, float]
+) -> None:
+    optimizer = go_on(copy_of(right[8]), 32, {8: wild})
     assert optimizer.suspected
     assert set(optimizer.suspected) <= {(8, name) for name in wild}
-    assert visited(optimizer) >= 0.98 * clean.hypervolume
+    assert visited(optimizer) >= 0.98 * right[32].hypervolume
     assert optimizer.hypervolume == pytest.approx(visited(optimizer), rel=0.02)
-    restored = Optimizer.from_state(json.loads(json.dumps(optimizer.get_state())))
+    restored = copy_of(optimizer)
     assert restored.suspected == optimizer.suspected
     assert restored.hypervolume == optimizer.hypervolume
     assert restored.ask() == optimizer.ask()
 
 
 @pytest.mark.parametrize("n", [24, 70])
-def test_a_wild_reading_never_counts_not_even_until_the_next_suggestion(n: int) -> None:
-    optimizer = tune({}, n)
+def test_a_wild_reading_never_counts_not_even_until_the_next_suggestion(
+    right: dict[int, Optimizer], n: int
+) -> None:
+    optimizer, same = copy_of(right[n]), copy_of(right[n])
     before = optimizer.hypervolume
-    same = Optimizer.from_state(json.loads(json.dumps(optimizer.get_state())))
     setpoint = optimizer.ask()
     for each in (optimizer, same):
         each.tell(setpoint, truth(**setpoint) | {"f": -10.0})
@@ -181,8 +198,10 @@ def test_a_wild_reading_never_counts_not_even_until_the_next_suggestion(n: int) 
     assert optimizer.ask() == same.ask()
 
 
-def test_a_withdrawn_reading_counts_nowhere_and_can_be_taken_back() -> None:
-    optimizer = tune({8: {"f": 0.0, "g": 0.0}}, 14)
+def test_a_withdrawn_reading_counts_nowhere_and_can_be_taken_back(
+    right: dict[int, Optimizer],
+) -> None:
+    optimizer = go_on(copy_of(right[8]), 14, {8: {"f": 0.0, "g": 0.0}})
     assert optimizer.hypervolume_measured == pytest.approx(9.0)
     optimizer.forget(8)
     assert optimizer.hypervolume_measured < 5.0

@@ -52,13 +52,14 @@ def write_run(
     evaluations: Sequence[dict[str, Any]],
     problem: dict[str, Any] | None = None,
     end: dict[str, Any] | None = None,
+    **settings: Any,
 ) -> Path:
     """A run folder with its journal."""
     start = StartRecord(
         "run1",
         1000.0,
         Problem.from_dict(problem or TWO),
-        {"seed": 3, "preset": "default", "model_input": "setpoint"},
+        {"seed": 3, "preset": "default", "model_input": "setpoint", **settings},
     )
     with Journal.create(folder, [to_json(start)]) as journal:
         for record in evaluations:
@@ -72,7 +73,10 @@ def write_run(
 
 
 def seven_objectives(folder: Path, count: int) -> Path:
-    """A front of `count` points in seven objectives: all on a plane, so none is dominated."""
+    """A front of `count` points in seven objectives: all on a plane, so none is dominated.
+
+    They are an initial design, so that seven models are trained once and not with each of the points.
+    """
     names = ("sigma_x", "sigma_y", "sigma_z", "eps_x", "eps_y", "eps_z", "dE")
     problem = {
         "variables": {f"K{i}": {"min": 0.0, "max": 1.0, "unit": "A"} for i in range(6)},
@@ -90,4 +94,5 @@ def seven_objectives(folder: Path, count: int) -> Path:
         )
         for i, (point, setpoint) in enumerate(zip(points.tolist(), setpoints.tolist(), strict=True))
     ]
-    return write_run(folder, records, problem, {"stop_reason": "budget"})
+    end = {"stop_reason": "budget"}
+    return write_run(folder, records, problem, end, initial_evaluations=count)

@@ -118,8 +118,10 @@ def reference_left_out(folder: Path) -> Path:
     return write_run(folder, [evaluation(i, {"f1": 2.0, "f2": 3.0}) for i in range(2)], problem)
 
 
-def changed_and_resumed(folder: Path) -> Path:
-    """Seed 7 has failures, an operator's set-points and two changes."""
+@pytest.fixture(scope="module")
+def changed_and_resumed(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The text of its page; seed 7 has failures, an operator's set-points and two changes."""
+    folder = tmp_path_factory.mktemp("changed") / "run"
     run = OfflineRun(folder, toy_optimizer(7), toy, 7)
     for _ in range(14):
         run.step()
@@ -128,7 +130,10 @@ def changed_and_resumed(folder: Path) -> Path:
     start, *rest = read_journal(folder)
     start["resumed_from"] = {"run_id": "earlier", "evaluations": 5}
     path.write_bytes(b"".join(journal_line(record) for record in (start, *rest)))
-    return folder
+    return read(folder)
+
+
+TITLES = ("Recommended points", "Convergence", "Fronts", "Models", "Reproduce")
 
 
 @pytest.mark.parametrize(
@@ -143,15 +148,13 @@ def changed_and_resumed(folder: Path) -> Path:
         never_measured,
         spanning_decades,
         reference_left_out,
-        changed_and_resumed,
         lambda folder: seven_objectives(folder, 1),
         lambda folder: seven_objectives(folder, 40),
     ],
 )
 def test_every_run_has_a_page(make: Callable[[Path], Path], tmp_path: Path) -> None:
     text = read(make(tmp_path / "run"))
-    for title in ("Recommended points", "Convergence", "Fronts", "Models", "Reproduce"):
-        assert title in text
+    assert all(title in text for title in TITLES)
 
 
 def test_what_spans_decades_has_logarithmic_axes(tmp_path: Path) -> None:
@@ -227,8 +230,9 @@ def test_an_empty_front_is_explained(tmp_path: Path) -> None:
     assert "f2" in text
 
 
-def test_changes_and_the_run_that_is_resumed_are_told(tmp_path: Path) -> None:
-    text = read(changed_and_resumed(tmp_path / "run"))
+def test_changes_and_the_run_that_is_resumed_are_told(changed_and_resumed: str) -> None:
+    text = changed_and_resumed
+    assert all(title in text for title in TITLES)
     assert "This run resumes earlier, after 5 evaluations" in text
     assert "problem or budget changed" in text
     assert re.search(r"variables\.x1\.max: 2\.0 → [0-9.]+", text)
