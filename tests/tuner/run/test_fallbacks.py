@@ -241,7 +241,7 @@ def test_a_machine_that_cannot_say_where_it_is_cannot_be_restored(
     start_tuner: Callable[..., NodeProcess], client: GoalClient, node: Node, event: str
 ) -> None:
     machine = toy_machine(node)
-    start_tuner(f"{event}:=restore")
+    start_tuner(f"{event}:=restore", "discovery_timeout:=4.0")
     client.send(Tune.Goal(evaluations=5))
     result = client.wait()
     assert result.error_code == Tune.Result.MACHINE_UNAVAILABLE
