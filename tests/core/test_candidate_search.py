@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.core.merit import Merit
 from tests.core.toy_runs import TOY, Machine, toy, tune, with_changes
 
 
@@ -92,6 +93,16 @@ def test_while_the_front_stands_still_every_second_evaluation_explores(stddev: f
     points = np.random.default_rng(1).uniform(-1.0, 1.0, (1000, 2))
     gaps = [np.linalg.norm(known - point, axis=1).min() for point in (*points, asked)]
     assert gaps[-1] > np.quantile(gaps, 0.8)
+
+
+def test_failures_do_not_mean_that_the_front_stands_still() -> None:
+    optimizer = Optimizer(Problem.from_dict(TOY), seed=0)
+    tune(optimizer, 12)
+    for _ in range(4):
+        optimizer.tell(optimizer.ask(), {}, failed=True)
+    asked = optimizer.problem.normalize(optimizer.ask())
+    gain = Merit(optimizer.archive, optimizer.settings, 0).expected_gain(asked)
+    assert gain > optimizer.settings.exploration / 16  # 1.6e-6 where it explores
 
 
 @pytest.mark.parametrize(("missed", "explores"), [(0, True), (2, False)])

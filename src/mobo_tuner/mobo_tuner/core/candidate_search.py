@@ -22,7 +22,7 @@ from mobo_tuner.core.settings import OptimizerSettings
 FAILED_TOLERANCE = 0.02
 # A set-point within 0.05 % of every variable's range of a measured one must promise something new.
 _NEAR = 1e-3
-_PATIENCE = 3  # evaluations in which the front should move
+_PATIENCE = 3  # valid evaluations in which the front should move
 _MOST_MISSED = 1  # of these may miss a constraint if the front stands still for another reason
 
 
@@ -105,9 +105,9 @@ class CandidateSearch:
         The models may be certain and wrong where nothing was measured, and no reading elsewhere shows it.
         A point that fills the space finds what they miss with a chance of about `exploration` over the
         number of evaluations, and may be worth as much as all that was found before: it is chosen if the
-        candidate promises less. It is chosen at every second evaluation, too, while the front does not
-        move: then the models promise too much, unless what they promised missed a constraint only, which is
-        learned where it was missed. With weights, or one objective without noise, the best point is sought
+        candidate promises less. It is chosen at every second evaluation, too, while valid ones do not move
+        the front: then the models promise too much, unless what they promised missed a constraint only, which
+        is learned where it was missed. With weights, or one objective without noise, the best point is sought
         to the last digit, and nothing is explored; nor where the machine varies, a reference point is out of
         reach, which is approached first, or readings are noisy and nothing is feasible yet: then what lacks
         little of a limit may meet it.
@@ -127,11 +127,11 @@ class CandidateSearch:
                 return True
         elif not trusted:
             return False
-        told = np.flatnonzero(self._data.highest[: n - self._archive.expected])
+        told = np.flatnonzero((self._data.valid & self._data.highest)[: n - self._archive.expected])
         last = int(told[-_PATIENCE]) if len(told) >= _PATIENCE else -1
         if n % 2 or last < self._archive.initial_evaluations or (front >= last).any():
             return False
-        missed = self._data.valid[told[-_PATIENCE:]] & ~belief.feasible[told[-_PATIENCE:]]
+        missed = ~belief.feasible[told[-_PATIENCE:]]
         return bool(not belief.feasible.any() or missed.sum() <= _MOST_MISSED)
 
     @property
