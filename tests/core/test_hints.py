@@ -211,6 +211,25 @@ def test_where_all_readings_are_alike_a_reference_is_still_inferred() -> None:
     assert 0.0 < optimizer.hypervolume < math.inf
 
 
+@pytest.mark.parametrize("wild", [30.0, 1e6, -1e6])
+def test_no_reference_is_inferred_from_a_reading_far_from_all_others(wild: float) -> None:
+    optimizer = Optimizer(problem({"f": {}, "g": {"direction": "maximize"}}), seed=1)
+    rest: dict[str, list[float]] = {"f": [], "g": []}
+    for i in range(6):
+        setpoint = optimizer.ask()
+        values = two(**setpoint)
+        outputs = {"f": values["f"], "g": -values["g"]}
+        for name, wrong in (("f", 2), ("g", 4)):
+            if i == wrong:
+                outputs[name] = wild
+            else:
+                rest[name].append(outputs[name])
+        optimizer.tell(setpoint, outputs)
+    f, g = (objective.reference for objective in optimizer.problem.objectives)
+    assert f == pytest.approx(max(rest["f"]) + 0.1 * np.ptp(rest["f"]))
+    assert g == pytest.approx(min(rest["g"]) - 0.1 * np.ptp(rest["g"]))
+
+
 @pytest.mark.parametrize("direction", ["minimize", "maximize"])
 def test_a_reference_that_was_inferred_from_a_wild_reading_is_told(direction: str) -> None:
     sign = 1.0 if direction == "minimize" else -1.0
@@ -218,7 +237,7 @@ def test_a_reference_that_was_inferred_from_a_wild_reading_is_told(direction: st
     for i in range(14):
         setpoint = optimizer.ask()
         outputs = two(**setpoint)
-        optimizer.tell(setpoint, outputs | {"f": sign * (1e6 if i == 2 else outputs["f"])})
+        optimizer.tell(setpoint, outputs | {"f": sign * (15.0 if i == 2 else outputs["f"])})
     [hint] = optimizer.hints()
     assert "evaluation 2" in hint
     assert "objectives.f.reference" in hint

@@ -60,6 +60,7 @@ __all__ = [
     "ProblemError",
     "Variable",
     "as_float",
+    "rows_apart",
 ]
 
 Array = NDArray[np.float64]
@@ -71,6 +72,8 @@ cannot tell what lies farther away from one another."""
 ONE_FIDELITY = "but a machine has one fidelity only; 'mobo.py campaign' optimises simulations, which have several"
 """Reason why a problem with several fidelities is not tuned on a machine."""
 _LARGEST_READING = 9.8e37  # SCPI instruments give 9.9e37 for infinity and 9.91e37 for no number
+_APART = 5.0  # ranges of all other readings
+_LEAST_OTHERS = 3  # readings that say that another one is far from all
 _SINGLE_PRECISION = 1e-6  # relative difference of a sentinel that passed through 32 bits
 
 
@@ -274,7 +277,8 @@ class Problem:
         """Return the problem with the components of the reference point that were left out.
 
         Each is a tenth of the readings' range worse than the worst feasible reading or, if none is
-        feasible, the worst valid one. The readings are those of the initial design and of as few
+        feasible, the worst valid one. One reading of each that is many ranges of all others away from these
+        does not count. The readings are those of the initial design and of as few
         evaluations after it as are needed to measure every objective, so that the result is final.
 
         Args:
@@ -292,6 +296,7 @@ class Problem:
             rows = feasible[:count] if feasible[:count].any() else valid[:count]
             readings = objectives[:count][rows]
             if np.isfinite(readings).any(axis=0).all():
+                readings = _without_wild(readings)
                 worst, best = np.nanmax(readings, axis=0), np.nanmin(readings, axis=0)
                 break
         else:
@@ -495,3 +500,40 @@ class Problem:
     def is_feasible(self, values: Mapping[str, float]) -> bool:
         """Return whether measured `values` meet every constraint."""
         return all(c.is_met(values.get(c.name, math.nan)) for c in self.constraints)
+
+
+def rows_apart(y: Array, most: int, least_rest: int) -> NDArray[np.intp]:
+    """Return the rows of the few readings ``(n,)`` that are many ranges of all others away from these.
+
+    One of them would be ruled out by the others; two or more hide each other.
+
+    Args:
+        y: Readings ``(n,)``.
+        most: Highest number of rows, which are at most half of all.
+        least_rest: Least number of others.
+    """
+    order = np.argsort(np.abs(y - np.median(y)), kind="stable")
+    for count in range(min(most, len(y) // 2, len(y) - least_rest), 0, -1):
+        rest, apart = y[order[:-count]], y[order[-count:]]
+        deviation = np.abs(rest - np.median(rest))
+        nearest = np.abs(apart - np.median(rest)).min()
+        # Where readings span decades, the next one is as far from the rest as the rest's last one from its median.
+        is_tail = nearest * np.median(deviation) <= np.square(deviation.max())
+        if nearest > _APART * np.ptp(rest) and not is_tail:
+            return np.sort(order[-count:])
+    return order[:0]
+
+
+def _without_wild(readings: Array) -> Array:
+    """Return readings ``(n, P)`` with NaN for the one of each column that is far from all others, if any.
+
+    Where all others are alike, the one that differs is what is looked for.
+    """
+    kept = readings.copy()
+    for column in kept.T:
+        finite = np.flatnonzero(np.isfinite(column))
+        rows = finite[rows_apart(column[finite], 1, _LEAST_OTHERS)]
+        others = np.setdiff1d(finite, rows)
+        if len(rows) and np.ptp(column[others]) > 0.0:
+            column[rows] = np.nan
+    return kept

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mobo_tuner.core.gaussian_process import GaussianProcess
-from mobo_tuner.core.problem import Array
+from mobo_tuner.core.problem import Array, rows_apart
 
 _PLATEAU = 0.25  # share of readings that are alike from which on none is suspected
 _FEWEST = 5  # readings that say anything of another one
@@ -24,8 +24,7 @@ _RULED_OUT = 10.0  # standard deviations from the prediction of all others
 _DOUBTFUL = 3.0  # the same where another output of the evaluation is suspected
 _LEAST_SHARE = 0.4  # of the others' range by which it is off
 _MOST_SHARE = 0.1  # of all readings that may be suspected
-_APART = 5.0  # ranges of all others by which readings are off that would hide each other
-_FEW_APART = 5  # of them, or more as below
+_FEW_APART = 5  # readings far from all others that are set aside, or more as above
 _LEAST_REST = 8  # others
 _NEARBY = 0.5  # largest distance in any input of the kernel at which readings confirm each other
 _ALIKE = 3.0  # largest ratio of the deviations of readings that confirm each other
@@ -55,7 +54,7 @@ def find_suspects(
     kept = np.delete(np.arange(len(y)), former)
     if len(kept) == 0 or np.unique(y[kept], return_counts=True)[1].max() > _PLATEAU * len(kept):
         return np.empty(0, dtype=np.intp)
-    apart = _apart(y)
+    apart = rows_apart(y, max(_FEW_APART, int(_MOST_SHARE * len(y))), _LEAST_REST)
     stopped = np.setdiff1d(_stopped(x, y), apart)
     hidden = np.setdiff1d(apart, former)
     if len(hidden) > 1:
@@ -97,24 +96,6 @@ def find_suspects(
     )
     few = len(np.setdiff1d(found, apart)) <= max(1, int(_MOST_SHARE * len(y)))
     return np.union1d(found if few else np.intersect1d(found, apart), stopped)
-
-
-def _apart(y: Array) -> NDArray[np.intp]:
-    """Return the rows of the few readings ``(n,)`` that are many ranges of all others away from these.
-
-    One of them would be ruled out by the others; two or more hide each other.
-    """
-    order = np.argsort(np.abs(y - np.median(y)), kind="stable")
-    most = max(_FEW_APART, int(_MOST_SHARE * len(y)))
-    for count in range(min(most, len(y) // 2, len(y) - _LEAST_REST), 0, -1):
-        rest, apart = y[order[:-count]], y[order[-count:]]
-        deviation = np.abs(rest - np.median(rest))
-        nearest = np.abs(apart - np.median(rest)).min()
-        # Where readings span decades, the next one is as far from the rest as the rest's last one from its median.
-        is_tail = nearest * np.median(deviation) <= np.square(deviation.max())
-        if nearest > _APART * np.ptp(rest) and not is_tail:
-            return np.sort(order[-count:])
-    return order[:0]
 
 
 def _stopped(x: Array, y: Array) -> NDArray[np.intp]:
