@@ -48,26 +48,25 @@ def test_where_feasibility_seems_hopeless_half_of_what_is_lacking_is_sought() ->
     np.testing.assert_allclose(sought.log_value(points), expected)
 
 
-def test_an_island_of_what_works_is_not_left_for_good() -> None:
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_an_island_of_what_works_is_not_left_for_good(seed: int) -> None:
     problem = Problem.from_dict(
         {
-            "variables": {name: {"min": -2.0, "max": 2.0} for name in "xyzw"},
+            "variables": {name: {"min": -2.0, "max": 2.0} for name in "xy"},
             "objectives": {name: {"reference": 5.0} for name in "fg"},
         }
     )
 
     def machine(x: Mapping[str, float]) -> dict[str, Any]:
-        point = np.array(list(x.values()))
         outputs = {
-            "f": float(np.linalg.norm(point - 1.0)),
-            "g": float(np.linalg.norm(point - [-1.0, -1.0, 0.5, 0.0])),
+            "f": math.hypot(x["x"] - 1.0, x["y"] - 1.0),
+            "g": math.hypot(x["x"] + 1.0, x["y"] + 1.0),
         }
-        return outputs if math.hypot(x["x"] - 0.3, x["y"] + 0.2) < 1.0 else {}
+        return outputs if math.hypot(x["x"] - 0.3, x["y"] + 0.2) < 0.7 else {}
 
-    optimizer = Optimizer(problem, seed=4)
+    optimizer = Optimizer(problem, seed=seed)
     tune(optimizer, 30, machine)
-    # As many as by chance, a fifth, at the least.
-    assert optimizer.dataset.valid.sum() >= 6
+    assert optimizer.dataset.valid.sum() >= 3  # one or two, if nothing leads back
 
 
 def test_what_is_uncertain_of_a_measured_point_is_no_reason_to_measure_it_again() -> None:
