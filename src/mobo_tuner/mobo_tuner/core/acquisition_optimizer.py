@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from mobo_tuner.core.acquisition import AcquisitionFunction
 from mobo_tuner.core.ascent import climb_by_curvature, climb_by_signs
-from mobo_tuner.core.domain import SMALL, Domain
+from mobo_tuner.core.domain import SMALL, Domain, sobol
 from mobo_tuner.core.pareto import FloatArray
 from mobo_tuner.core.registry import Registry
 from mobo_tuner.errors import ParameterError
@@ -247,8 +247,6 @@ class MultiStart(Maximizer):
 
     def explore(self, search: Search, seeds: FloatArray, rng: np.random.Generator) -> None:
         """Screen, step along signs, and climb."""
-        from scipy.stats import qmc  # takes half a second, which a check of settings can spare
-
         d = search.n_variables
         x = np.empty((0, d))
         if len(seeds):
@@ -256,7 +254,7 @@ class MultiStart(Maximizer):
             around = origins + self.nearby * rng.standard_normal(origins.shape)
             around = np.clip(around, -1.0, 1.0)
             x = _spread_out(around, search.values(around), self.near_starts, self.near_apart)[0]
-        spread = qmc.Sobol(d, seed=rng).random_base2(math.ceil(math.log2(self.screened)))
+        spread = sobol(d, 2 ** math.ceil(math.log2(self.screened)), rng)
         spread = np.clip(self.overshoot * (2.0 * spread - 1.0), -1.0, 1.0)
         far = _spread_out(spread, search.values(spread), self.far_starts, self.far_apart)[0]
         x = np.vstack([far, x])

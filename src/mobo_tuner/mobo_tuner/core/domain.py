@@ -30,6 +30,19 @@ _NODES = 100_000  # of the search for a point within the limits
 _PULLS = 24
 
 
+def sobol(d: int, count: int, rng: np.random.Generator | int) -> FloatArray:
+    """Return the first points of a scrambled Sobol sequence in [0, 1)^d, shape ``(count, d)``.
+
+    Args:
+        d: Number of dimensions.
+        count: Number of points, a power of two: then they are evenly spread.
+        rng: Random number generator of the scrambling, or its seed.
+    """
+    from scipy.stats import qmc  # takes half a second, which a check of settings can spare
+
+    return np.asarray(qmc.Sobol(d, seed=rng).random(count))
+
+
 class EmptyDomainError(ValueError):
     """No point of the box is on all grids and within all limits."""
 
@@ -156,12 +169,9 @@ class Domain:
 
         They are spread over the domain; all points of a domain with no more of them.
         """
-        from scipy.stats import qmc  # takes half a second, which a check of settings can spare
-
         if self.size <= count:
             return self.points()
-        power = math.ceil(math.log2(count))
-        x = 2.0 * qmc.Sobol(len(self.values), seed=rng).random_base2(power) - 1.0
+        x = 2.0 * sobol(len(self.values), 2 ** math.ceil(math.log2(count)), rng) - 1.0
         snapped = self.snap(x)
         inside = self._within_limits(snapped)
         if np.count_nonzero(inside) < len(x) // 4:  # the limits leave little of the box

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from mobo_tuner.core.domain import SMALL, Domain
+from mobo_tuner.core.domain import SMALL, Domain, sobol
 from mobo_tuner.core.problem import Array
 from mobo_tuner.core.resolution import SAME, Taken
 
@@ -40,9 +40,7 @@ def explore(
     """
     d = inputs.shape[1]
     if domain is None or domain.is_box:
-        from scipy.stats import qmc  # takes half a second, which the start of a node can spare
-
-        points: Array = 2.0 * qmc.Sobol(d, seed=rng).random(_POINTS) - 1.0
+        points: Array = 2.0 * sobol(d, _POINTS, rng) - 1.0
         nearest = _TO_IMAGE * (1.0 - np.abs(points)).min(axis=1)
     else:
         points = domain.draw(max(_POINTS, SMALL), rng)

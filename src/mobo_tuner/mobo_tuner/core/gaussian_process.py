@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
 from mobo_tuner.core.context_kernel import Contextual
+from mobo_tuner.core.domain import sobol
 from mobo_tuner.core.evidence import NoiseEvidence, drift_evidence, noise_evidence
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
 from mobo_tuner.core.kernels import Kernel, as_inputs
@@ -339,10 +340,8 @@ class GaussianProcess:
             count: Number of draws, a power of two; they are evenly spread.
             rng: Random number generator.
         """
-        from scipy.stats import qmc  # takes half a second, which the start of a node can spare
-
         state = self._fitted
-        uniform = qmc.Sobol(self.n, seed=rng).random(count)
+        uniform = sobol(self.n, count, rng)
         normals = ndtri(np.clip(uniform, _LEAST_QUANTILE, 1.0 - _LEAST_QUANTILE))
         with single_blas_thread():
             posteriors = state.posterior.drawn(normals)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mobo_tuner.core.domain import sobol
 from mobo_tuner.core.models import Models
 from mobo_tuner.core.pareto import is_below, is_nondominated
 from mobo_tuner.core.problem import Array, Problem
@@ -38,10 +39,8 @@ def predict_front(
         The set-points ``(k, d)`` in [-1, 1], and the means and standard deviations ``(k, P)`` of the
         minimised objectives; k is at most `size` and may be 0.
     """
-    from scipy.stats import qmc  # takes half a second, which the start of a node can spare
-
     d = len(problem.variables)
-    front = 2.0 * qmc.Sobol(d, seed=rng).random(_FIRST) - 1.0
+    front = 2.0 * sobol(d, _FIRST, rng) - 1.0
     front = np.vstack([front, np.clip(known, -1.0, 1.0)])
     if not problem.domain.is_box:
         front = problem.domain.nearest(front)

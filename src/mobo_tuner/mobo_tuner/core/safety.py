@@ -19,7 +19,7 @@ import numpy as np
 from mobo_tuner.core.archive import Archive
 from mobo_tuner.core.constraints import log_probability_between
 from mobo_tuner.core.dataset import BoolArray, Dataset
-from mobo_tuner.core.domain import CHANGED
+from mobo_tuner.core.domain import CHANGED, sobol
 from mobo_tuner.core.gaussian_process import GaussianProcess
 from mobo_tuner.core.merit import Merit
 from mobo_tuner.core.problem import Array, Problem, ProblemError
@@ -123,11 +123,9 @@ class SafeSearch:
 
     def _near(self, centers: Array, reach: float, count: int) -> Array:
         """Return points of the domain near some, and within the trust distance of a safe evaluation."""
-        from scipy.stats import qmc  # takes half a second, which the start of a node can spare
-
         d, domain = centers.shape[1], self._problem.domain
         chosen = centers[self._rng.integers(len(centers), size=count)]
-        steps = 2.0 * qmc.Sobol(d, seed=self._rng).random(count) - 1.0
+        steps = 2.0 * sobol(d, count, self._rng) - 1.0
         moved = np.clip(chosen + reach * steps, -1.0, 1.0)
         # Every choice without an order is as far from every other one.
         unordered = domain.unordered

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from mobo_tuner.core.domain import sobol
 from mobo_tuner.core.problem import Array
 
 
@@ -34,9 +35,7 @@ def first_order_indices(
         >>> first_order_indices(lambda x: 2.0 * x[:, 0] + x[:, 1], 2).round(2)
         array([0.8, 0.2])
     """
-    from scipy.stats import qmc  # takes half a second, which the start of a node can spare
-
-    points = 2.0 * qmc.Sobol(2 * d, seed=seed).random(samples) - 1.0
+    points = 2.0 * sobol(2 * d, samples, seed) - 1.0
     base, other = points[:, :d], points[:, d:]
     at_base, at_other = function(base), function(other)
     variance = float(np.var(np.concatenate([at_base, at_other])))
