@@ -155,10 +155,13 @@ def chosen(page: Page) -> int | None:
     return int(found[1]) if found else None
 
 
-def choose_first(page: Page) -> None:
-    """Choose the first point in the table."""
-    page.locator(".point-table tbody tr:has(.q-checkbox)").first.locator("td").nth(2).click()
-    until(page, lambda: chosen(page) is not None, "the choice")
+def choose_first(page: Page) -> int:
+    """Choose the first point in the table; its index."""
+    cells = page.locator(".point-table tbody tr:has(.q-checkbox)").first.locator("td")
+    index = int(cells.nth(1).inner_text())
+    cells.nth(2).click()
+    until(page, lambda: chosen(page) == index, "the choice")
+    return index
 
 
 def word(page: Page) -> str:
@@ -288,6 +291,7 @@ def test_every_view_of_the_details_is_drawn(page: Page, tab: str) -> None:
 
 
 def test_the_models_say_what_drives_what_through_the_chosen_point(page: Page) -> None:
+    choose_first(page)
     page.get_by_role("tab", name="Models").click()
     note = ".details .card-head .quiet"
     until(page, lambda: f"evaluation {chosen(page)};" in read(page, note), "the answer", 120.0)
@@ -371,6 +375,26 @@ def test_people_with_aids_can_read_and_act(page: Page) -> None:
         page.get_by_role("button", name="light or dark").click()
 
 
+def test_a_browser_that_was_away_for_a_while_is_where_it_was(page: Page) -> None:
+    index = choose_first(page)
+    page.evaluate("window.isTheSame = true")
+    page.evaluate(
+        """() => {
+          const manager = window.socket.io;
+          manager.reconnectionDelayMax(12e3);
+          manager.reconnectionDelay(12e3);  // [ms], more than the server waits for an answer
+          manager.engine.close();
+        }"""
+    )
+    until(page, lambda: "lost its server" in read(page, "body"), "the warning")
+    until(page, lambda: "lost its server" not in read(page, "body"), "the server")
+    page.evaluate("window.socket.io.reconnectionDelay(1e3)")
+    press(page, "Stop…")
+    press(page, "No, go back")
+    assert page.evaluate("window.isTheSame")
+    assert chosen(page) == index
+
+
 def test_a_phone_shows_the_front_too(page: Page) -> None:
     page.set_viewport_size({"width": 412, "height": 915})
 
@@ -393,7 +417,7 @@ def test_a_run_is_stopped_only_after_a_question(page: Page) -> None:
 
 
 def test_the_machine_goes_to_the_chosen_point_after_a_list_of_what_moves(page: Page) -> None:
-    index = chosen(page)
+    index = choose_first(page)
     press(page, "Go to point…")
     dialog = page.locator(".go-dialog")
     until(page, lambda: f"evaluation {index}?" in dialog.inner_text(), "the question")

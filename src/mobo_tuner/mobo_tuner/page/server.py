@@ -29,7 +29,8 @@ from mobo_tuner.page.view import View
 from mobo_tuner.page.words import first_words
 
 REFRESH_PERIOD = 0.2  # [s]
-RECONNECT_TIMEOUT = 10.0  # [s] for a browser to come back to its page
+RECONNECT_TIMEOUT = 10.0  # [s] sets how often a browser is asked whether it is there (.8), and its time to answer (.4)
+KEEP_TIMEOUT = 45.0  # [s] for a busy or sleeping browser to come back to its page; after it, the page begins anew
 MAX_VIEWS = 40  # pages that are open at a time
 STOP_TIMEOUT = 0.6  # [s] for the server to end
 BACKLOG = 64
@@ -103,7 +104,7 @@ class PageServer:
         app.add_static_files("/page", STATIC)
         turns = Turns()
 
-        @ui.page("/", title="MOBO", dark=True, language="en-US")
+        @ui.page("/", title="MOBO", dark=True, language="en-US", reconnect_timeout=KEEP_TIMEOUT)
         async def page(request: Request) -> Response | None:
             if len(self._views) >= MAX_VIEWS:
                 return PlainTextResponse(f"{MAX_VIEWS} pages are open; close one", status_code=503)
