@@ -32,6 +32,15 @@ def test_relative_links_lead_somewhere(path: Path) -> None:
             assert (path.parent / target).exists(), f"{path.name} links to {target}"
 
 
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_table_has_a_head(path: Path) -> None:
+    text = re.sub(r"^ *```.*?^ *```", "", path.read_text(encoding="utf-8"), flags=re.M | re.S)
+    for table in re.findall(r"(?:^ *\|.*\n)+", text, flags=re.MULTILINE):
+        assert re.match(r".*\n *\|[-:| ]+\|\n", table), (
+            f"{table.splitlines()[0]} belongs to no table"
+        )
+
+
 @pytest.mark.parametrize("path", INTERFACES, ids=lambda path: path.name)
 def test_every_field_and_constant_is_described_and_every_number_has_its_unit(path: Path) -> None:
     lines = path.read_text(encoding="utf-8").splitlines()

@@ -123,7 +123,7 @@ def test_only_a_list_of_points_can_be_ingested(results: Any) -> None:
 @pytest.mark.parametrize("count", [0, True, 2.7, "3", math.nan, math.inf, []])
 def test_a_number_of_points_is_a_positive_integer(count: Any) -> None:
     made = generator()
-    with pytest.raises(ProblemError, match="count"):
+    with pytest.raises(ProblemError, match="num_points is"):
         made.suggest(count)
     assert made.suggest(np.int64(1))[0]["_id"] == 0  # type: ignore[arg-type]
 
@@ -216,6 +216,10 @@ def test_a_fixed_variable_is_a_constant() -> None:
         ({"variables": {"x": "CONTEXTUAL"}}, "x"),
         ({"objectives": {"f": "EXPLORE"}}, "f"),
         ({"objectives": {}}, "objectives"),
+        ({"variables": {"x": {"a", 1}}}, "variables.x.choices"),
+        ({"constants": {"x": 0.5}}, "'x' is a constant"),
+        ({"constants": {"f": 0.5}}, "'f' is a constant"),
+        ({"constants": {"o": 0.5}, "observables": ["o"]}, "'o' is a constant"),
     ],
 )
 def test_a_vocs_that_cannot_be_tuned_is_refused_by_name(changes: dict[str, Any], name: str) -> None:
@@ -282,3 +286,5 @@ def test_words_of_a_discrete_variable_have_no_order() -> None:
         point["f"] = point["x"] + (point["t"] == "b")
     generator.ingest(points)
     assert len(generator.optimizer.dataset) == 3
+    with pytest.raises(ProblemError, match="t is 'd'; allowed are a, b, c"):
+        generator.ingest([{"x": 0.5, "t": "d", "f": 0.5}])

@@ -10,7 +10,9 @@ from gest_api import Generator
 from gest_api.vocs import VOCS
 
 from mobo_tuner.core import Optimizer, Problem, ProblemError
-from mobo_tuner.core.values import as_float, as_integer, describe
+from mobo_tuner.core.optimizer import LARGEST_BATCH
+from mobo_tuner.core.quantities import Variable
+from mobo_tuner.core.values import as_float, as_integer, describe, listed
 from mobo_tuner.offline.vocs import measured_names, problem_of, vocs_of
 
 ID = "_id"
@@ -80,7 +82,7 @@ class MoboGenerator(Generator):  # type: ignore[misc]  # gest-api has no types
         self.vocs = vocs_of(vocs) if isinstance(vocs, Problem) else vocs
         self.optimizer = Optimizer(problem, preset, seed, **overrides)
         self._named = not isinstance(vocs, Problem)  # whether points have the words of the VOCS
-        self._batch_size = as_integer("batch_size", batch_size, 1)
+        self._batch_size = as_integer("batch_size", batch_size, 1, LARGEST_BATCH)
         self._outputs = measured_names(problem)
         self._fixed = {v.name: v.fixed for v in problem.variables if v.fixed is not None}
         self._next_id = 0
@@ -97,11 +99,13 @@ class MoboGenerator(Generator):  # type: ignore[misc]  # gest-api has no types
             num_points: Number of points; None for the size of a batch.
 
         Raises:
-            ProblemError: If the number is not an integer of at least 1.
+            ProblemError: If the number is not an integer from 1 to `LARGEST_BATCH`.
         """
         points: list[dict[str, Any]] = []
         constants = {name: constant.value for name, constant in self.vocs.constants.items()}
-        for setpoint in self.optimizer.ask(self._batch_size if num_points is None else num_points):
+        count = self._batch_size if num_points is None else num_points
+        count = as_integer("num_points", count, 1, LARGEST_BATCH)
+        for setpoint in self.optimizer.ask(count):
             self._suggested[self._next_id] = setpoint
             words = self.optimizer.problem.chosen(setpoint) if self._named else {}
             points.append({**setpoint, **words, **constants, ID: self._next_id})
@@ -147,7 +151,7 @@ class MoboGenerator(Generator):  # type: ignore[misc]  # gest-api has no types
             raise ProblemError(f"a result must be a mapping of names, not {describe(result)}")
         problem = self.optimizer.problem
         setpoint = {
-            v.name: as_float(v.name, v.number(result.get(v.name, self._fixed.get(v.name))))
+            v.name: _number(v, result.get(v.name, self._fixed.get(v.name)))
             for v in problem.variables
         }
         for name in problem.setpoint_names:
@@ -164,3 +168,17 @@ class MoboGenerator(Generator):  # type: ignore[misc]  # gest-api has no types
         if number >= 0.0 and not number.is_integer():
             raise ProblemError(f"{ID} is {number:g}; an integer is allowed")
         return _Result(int(number) if number >= 0.0 else None, setpoint, outputs)
+
+
+def _number(variable: Variable, value: object) -> float:
+    """Return the value of a variable as a number, which may stand for a word.
+
+    Raises:
+        ProblemError: If it is neither a number nor one of the variable's words.
+    """
+    number = variable.number(value)
+    if isinstance(number, str) and variable.choice_names:
+        raise ProblemError(
+            f"{variable.name} is {number!r:.60}; allowed are {listed(variable.choice_names)}"
+        )
+    return as_float(variable.name, number)

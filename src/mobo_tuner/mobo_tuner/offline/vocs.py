@@ -38,8 +38,8 @@ def problem_of(vocs: VOCS, references: Mapping[str, float] = {}) -> Problem:
             what is measured.
 
     Raises:
-        ProblemError: If it is no VOCS or has something that a problem cannot have, or a reference is not
-            of one of its objectives.
+        ProblemError: If it is no VOCS or has something that a problem cannot have, a reference is not of
+            one of its objectives, or a constant has the name of something else.
     """
     if not isinstance(vocs, VOCS):
         raise ProblemError(f"vocs must be a VOCS or a Problem, not {describe(vocs)}")
@@ -49,6 +49,12 @@ def problem_of(vocs: VOCS, references: Mapping[str, float] = {}) -> Problem:
         if name not in vocs.objectives:
             raise ProblemError(
                 f"a reference is given for '{name}'; allowed are {', '.join(vocs.objective_names)}"
+            )
+    others = {*vocs.variables, *vocs.objectives, *vocs.constraints, *vocs.observables}
+    for name in vocs.constants:
+        if name in others:  # in a point it would stand in the place of the other
+            raise ProblemError(
+                f"'{name}' is a constant and something else: a name can stand for one quantity only"
             )
     return Problem.from_dict(
         {
@@ -114,7 +120,7 @@ def measured_names(problem: Problem) -> tuple[str, ...]:
 
 def _variable(name: str, variable: BaseVariable) -> dict[str, Any]:
     if isinstance(variable, DiscreteVariable):
-        return {"choices": sorted(variable.values)}
+        return {"choices": sorted(variable.values, key=lambda v: (isinstance(v, str), v))}
     if isinstance(variable, ContinuousVariable) and not isinstance(variable, ContextualVariable):
         return {"min": variable.domain[0], "max": variable.domain[1]}
     raise ProblemError(
