@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -194,6 +195,13 @@ def test_failures_from_the_start_are_told_and_end_in_an_error(bench: Bench) -> N
     assert bench.journal("one")[-1]["stop_reason"] == "error"
 
 
+def test_outputs_of_other_names_are_told(bench: Bench) -> None:
+    command = """echo '{"F1": 1.0}'"""
+    code, errors = bench.run("one", "--config", bench.config(command=command), "--evaluations", "4")
+    assert code == 1
+    assert "no number was given for any of f1, f2" in errors
+
+
 def test_in_a_job_of_slurm_it_starts_no_step_of_its_own(
     bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -263,6 +271,46 @@ def test_a_section_that_is_wrong_is_refused_before_anything_is_simulated(
     with pytest.raises(UserError, match=words):
         start(bench.config(**campaign), bench.folder / "one", {})
     assert not (bench.folder / "one").exists()
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        (("campain", "workers"), 3, r"'campain' is unknown; did you mean 'campaign'"),
+        (("tuner", "stop_after"), 60.0, r"tuner\.stop_after is 60"),
+        (("tuner", "stop_without_gain"), 5, r"tuner\.stop_without_gain is 5"),
+        (("tuner", "trust_distance"), 0.1, r"tuner\.trust_distance is 0\.1"),
+        (("/**", "constraints", "c"), {"max": 1.0, "safe": 0.9}, r"constraints\.c\.safe is 0\.9"),
+        (("/**", "variables", "x1"), {"around": "10 %"}, r"x1 depend on where a machine is"),
+    ],
+)
+def test_what_a_campaign_cannot_obey_is_refused(
+    bench: Bench, path: tuple[str, ...], value: Any, words: str
+) -> None:
+    file = bench.config()
+    content = load_yaml(file)
+    section, *names, last = path
+    place = content.setdefault(section, {"ros__parameters": {}})["ros__parameters"]
+    for name in names:
+        place = place.setdefault(name, {})
+    place[last] = value
+    file.write_text(yaml.safe_dump(content))
+    with pytest.raises(UserError, match=words):
+        start(file, bench.folder / "one", {})
+    assert not (bench.folder / "one").exists()
+
+
+def test_a_journal_that_cannot_be_written_ends_it_with_one_sentence(bench: Bench) -> None:
+    path = bench.config()
+    process = bench.start("one", "--config", path)
+    limit = 4000  # bytes of the largest file, with which the disk is full after some evaluations
+    resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (limit, limit))
+    _, errors = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 1
+    assert errors.count("\n") == 1
+    assert "cannot be written: File too large" in errors
+    assert len(bench.evaluations("one")) in range(1, 10)
+    bench.wait_until_none_simulates()
 
 
 def test_a_run_that_was_no_campaign_is_not_resumed_as_one(bench: Bench) -> None:

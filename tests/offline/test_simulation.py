@@ -84,6 +84,7 @@ def test_each_has_a_folder_in_which_its_files_stay(simulation: Make, tmp_path: P
         ("print('[' * 100_000)", "JSON"),
         ("print(json.dumps({'f': 'large'}))", "'f'"),
         ("print(json.dumps({'f': True}))", "'f'"),
+        ("print(json.dumps({'f': 10**400}))", "'f', which is too large"),
     ],
 )
 def test_what_goes_wrong_is_said(simulation: Make, program: str, words: str) -> None:

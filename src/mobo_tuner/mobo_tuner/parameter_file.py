@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -32,6 +33,31 @@ def node_sections(content: Mapping[Any, Any]) -> dict[str, dict[str, Any]]:
         name = str(key).removeprefix("/**").removeprefix("/")
         sections.setdefault(name, {}).update(parameters)
     return sections
+
+
+def check_section_names(
+    sections: Mapping[str, object], known: Sequence[str], allow_others: bool
+) -> None:
+    """Reject sections of unknown nodes.
+
+    Args:
+        sections: Sections by the node's name.
+        known: Names of nodes.
+        allow_others: Whether sections of other nodes are allowed, unless their names are similar to known ones.
+
+    Raises:
+        ParameterError: If a section is unknown, or an allowed one is similar to a known name.
+    """
+    for name in sections:
+        if name in known:
+            continue
+        if not allow_others:
+            raise ParameterError(
+                f"the section '{name}' is unknown; allowed are /**, {', '.join(known)}"
+            )
+        near = difflib.get_close_matches(name, known, n=1, cutoff=0.8)
+        if near:
+            raise ParameterError(f"the section '{name}' is unknown; did you mean '{near[0]}'?")
 
 
 def flat(section: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

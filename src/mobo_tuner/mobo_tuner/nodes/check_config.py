@@ -10,12 +10,11 @@ The sections of the file choose the machine: each section NAME belongs to a mach
 from __future__ import annotations
 
 import argparse
-import difflib
 import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +30,7 @@ from mobo_tuner.machine.description import MachineDescription
 from mobo_tuner.nodes.parameters import CONSOLE, LIVE_SERVER, PAGE, RECORDER
 from mobo_tuner.offline.parameters import CAMPAIGN
 from mobo_tuner.offline.simulation import command_of
-from mobo_tuner.parameter_file import check_section, node_sections
+from mobo_tuner.parameter_file import check_section, check_section_names, node_sections
 from mobo_tuner.parameter_spec import ParameterSpec
 from mobo_tuner.runs.history import MODEL
 from mobo_tuner.tuner.parameters import check_tuner
@@ -75,7 +74,7 @@ def check(
     if program_yields and any(name in machines for name in sections):
         program = ""
     section = _machine_section(sections, machines, program)
-    _check_names(sections, ["tuner", *NODES, *machines], allow_others=bool(program))
+    check_section_names(sections, ["tuner", *NODES, *machines], allow_others=bool(program))
     for name, specs in NODES.items():
         check_section(name, sections.get(name, {}), specs)
     tuner = check_tuner(sections.get("tuner", {}))
@@ -182,24 +181,6 @@ def _machine_section(
     if len(ways) > 1:
         raise ParameterError(f"two machines are chosen, by {ways[0]} and by {ways[1]}; keep one")
     return chosen[0] if chosen else ""
-
-
-def _check_names(sections: Mapping[str, object], known: Sequence[str], allow_others: bool) -> None:
-    """Reject sections of unknown nodes.
-
-    Raises:
-        ParameterError: If a section is unknown, or an allowed one is similar to a known name.
-    """
-    for name in sections:
-        if name in known:
-            continue
-        if not allow_others:
-            raise ParameterError(
-                f"the section '{name}' is unknown; allowed are /**, {', '.join(known)}"
-            )
-        near = difflib.get_close_matches(name, known, n=1, cutoff=0.8)
-        if near:
-            raise ParameterError(f"the section '{name}' is unknown; did you mean '{near[0]}'?")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -8,6 +8,8 @@ for one simulation at a time, of this host or, with `--listen`, of a worker on a
 from __future__ import annotations
 
 import argparse
+import contextlib
+import logging
 import os
 import shlex
 import signal
@@ -15,7 +17,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -27,13 +29,14 @@ from libensemble.specs import AllocSpecs, ExitCriteria, GenSpecs, LibeSpecs, Sim
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.core.values import listed
 from mobo_tuner.errors import ParameterError, UserError
 from mobo_tuner.files import load_yaml
 from mobo_tuner.offline.generator import ID, MoboGenerator
 from mobo_tuner.offline.hosts import Hosts
 from mobo_tuner.offline.parameters import CAMPAIGN
 from mobo_tuner.offline.simulation import Outcome, Simulation, command_of
-from mobo_tuner.parameter_file import check_section, node_sections
+from mobo_tuner.parameter_file import check_section, check_section_names, node_sections
 from mobo_tuner.runs.hints import why_barren
 from mobo_tuner.runs.history import INVALID_MEASUREMENT, MACHINE_ERROR, History
 from mobo_tuner.runs.journal import read_journal
@@ -80,12 +83,14 @@ class Campaign(MoboGenerator):
     Attributes:
         optimizer: Optimiser.
         records: Evaluations of this campaign itself.
+        trouble: First error in `suggest` or `ingest`, of which libEnsemble passes on a text alone; None without one.
     """
 
     def __init__(self, optimizer: Optimizer, log: RunLog, budget: int) -> None:
         super().__init__(optimizer.given_problem)
         self.optimizer = optimizer
         self.records: list[EvaluationRecord] = []
+        self.trouble: Exception | None = None
         self._log = log
         self._asked: dict[int, _Asked] = {}
         self._lock = threading.Lock()  # held while a result is learned and recorded
@@ -109,7 +114,8 @@ class Campaign(MoboGenerator):
     def suggest(self, num_points: int | None = None) -> list[dict[str, Any]]:
         """Return points to simulate, see `MoboGenerator.suggest`."""
         started = time.perf_counter()
-        points = super().suggest(num_points)
+        with self._keeping_trouble():
+            points = super().suggest(num_points)
         seconds = (time.perf_counter() - started) / len(points)
         for point, source in zip(points, self.optimizer.last_sources, strict=True):
             self._asked[point[ID]] = _Asked(source, seconds)
@@ -118,7 +124,7 @@ class Campaign(MoboGenerator):
     def ingest(self, results: Sequence[Mapping[str, Any]]) -> None:
         """Learn simulated points and write each into the journal."""
         for result in results:
-            with self._lock:
+            with self._keeping_trouble(), self._lock:
                 super().ingest([result])
                 self.records.append(self._record(result))
                 self._log.append(self.records[-1])
@@ -130,7 +136,7 @@ class Campaign(MoboGenerator):
                 text = (
                     f"all of the first {_TELLING} simulations failed, the last one because {reason}"
                 )
-                self._progress.console.print(text, markup=False, highlight=False)
+                self._progress.console.print(text, markup=False, highlight=False, soft_wrap=True)
         with self._lock:
             self._log.save(self.optimizer)
 
@@ -140,11 +146,26 @@ class Campaign(MoboGenerator):
         self._progress.stop()
         self._log.append(EndRecord(time.time(), StopReason.CANCELED))
 
+    @contextlib.contextmanager
+    def _keeping_trouble(self) -> Iterator[None]:
+        """Keep the first error that is raised."""
+        try:
+            yield
+        except Exception as error:
+            self.trouble = self.trouble or error
+            raise
+
     def _at_highest(self) -> str:
         """Return how many evaluations are of the highest fidelity, in words; nothing without fidelities."""
         if self.optimizer.problem.fidelity is None:
             return ""
         return f", {np.count_nonzero(self.optimizer.dataset.highest)} at the highest fidelity"
+
+    def _no_number(self) -> str:
+        """Return what a simulation lacked that gave no number of use, in words."""
+        return (
+            f"no number was given for any of {listed(self.optimizer.problem.required_diagnostics)}"
+        )
 
     def _record(self, result: Mapping[str, Any]) -> EvaluationRecord:
         """Return the record of the evaluation that was told last."""
@@ -167,7 +188,7 @@ class Campaign(MoboGenerator):
             hypervolume=optimizer.hypervolume,
             hypervolume_measured=optimizer.hypervolume_measured,
             error_code=INVALID_MEASUREMENT if error or evaluation.failed else 0,
-            error_msg=error or ("no output was a number" if evaluation.failed else ""),
+            error_msg=error or (self._no_number() if evaluation.failed else ""),
             suggest_seconds=asked.seconds,
             machine_seconds=seconds,
             total_seconds=asked.seconds + seconds,
@@ -203,6 +224,7 @@ def start(config: Path, folder: Path, given: Mapping[str, Any]) -> Begun:
     """
     content = load_yaml(config)
     sections = node_sections(content)
+    check_section_names(sections, ("tuner", "campaign"), allow_others=True)
     campaign = check_section("campaign", sections.get("campaign", {}), CAMPAIGN)
     campaign["command"] = command_of(campaign, config.parent)
     tuner = check_tuner(sections.get("tuner", {}) | {n: given[n] for n in _OF_TUNER & {*given}})
@@ -210,11 +232,36 @@ def start(config: Path, folder: Path, given: Mapping[str, Any]) -> Begun:
         campaign["workers"] = given["workers"]
     problem = Problem.from_dict(content)
     settings = {**tuner, "budget": tuner["evaluations"], "campaign": campaign}
+    _check_needs_no_machine(problem, tuner)
     optimizer = make_optimizer(problem, settings, load_prior_model(problem, settings))
     if campaign["command"] or "listen" not in given:  # else the workers know how to evaluate
         _check_command(campaign, folder, here="listen" not in given)
     record = StartRecord(folder.name, time.time(), problem, settings)
     return Begun(optimizer, RunLog(folder, record), settings)
+
+
+def _check_needs_no_machine(problem: Problem, tuner: Mapping[str, Any]) -> None:
+    """Check that nothing depends on where a machine is, or on how a run of the tuner goes on.
+
+    Raises:
+        ParameterError: If something does.
+    """
+    if problem.open_variables:
+        raise ParameterError(
+            f"the bounds of {listed(problem.open_variables)} depend on where a machine is, and a campaign has none; "
+            "'min' and 'max', 'choices', or a number for 'fixed' are allowed"
+        )
+    for constraint in problem.constraints:
+        if constraint.safe:
+            raise ParameterError(
+                f"constraints.{constraint.name}.safe is {constraint.safe:g}; a campaign has no machine to begin where "
+                "it is safe, and allows none"
+            )
+    for name in _ONLY_OF_RUNS:
+        if tuner[name]:
+            raise ParameterError(
+                f"tuner.{name} is {tuner[name]:g}; a campaign allows none: {_ONLY_OF_RUNS[name]}"
+            )
 
 
 def _check_command(campaign: Mapping[str, Any], folder: Path, *, here: bool) -> None:
@@ -281,6 +328,15 @@ def resume(earlier: Path, folder: Path, given: Mapping[str, Any]) -> Begun:
 
 
 _OF_TUNER = {"evaluations", "seed"}
+_ENDS = "it ends when it has made its evaluations"
+_ONLY_OF_RUNS = {
+    "trust_distance": "it has no machine to begin where it is",
+    "hypervolume_goal": _ENDS,
+    "stop_after": _ENDS,
+    "stop_without_gain": _ENDS,
+    "stop_below_expected_gain": _ENDS,
+}
+"""Parameters of the tuner that a campaign cannot obey, and why."""
 
 
 class Simulator(Protocol):
@@ -346,8 +402,14 @@ def run(begun: Begun, simulation: Simulator) -> None:
             exit_criteria=ExitCriteria(sim_max=budget - len(optimizer.dataset)),
         )
         _end_at_signals(simulation, generator)
+        # Without a handler it prints the tracebacks of what it raises again.
+        logging.getLogger("libensemble").addHandler(logging.NullHandler())
         try:
             ensemble.run()
+        except Exception:
+            if generator.trouble is None:
+                raise
+            raise generator.trouble from None
         finally:
             simulation.stop()
         reason = why_barren(generator.records, optimizer.problem.required_diagnostics)

@@ -252,4 +252,8 @@ def _read(text: str) -> dict[str, float]:
     for name, value in content.items():
         if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
             raise ValueError(f"the simulation printed {value!r:.40} for '{name}', not a number")
+        if isinstance(value, int) and abs(value) > sys.float_info.max:
+            raise ValueError(
+                f"the simulation printed {value!r:.40} for '{name}', which is too large"
+            )
     return {name: math.nan if v is None else float(v) for name, v in content.items()}
