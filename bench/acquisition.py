@@ -20,8 +20,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.hypervolume import BoxDecomposition
-from mobo_tuner.core.pareto import FloatArray, is_nondominated
+from mobo_tuner.core.pareto import is_nondominated
 
 FIRST_ANSWERS = """
 import numpy as np

@@ -17,8 +17,9 @@ from functools import partial
 
 import numpy as np
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.gaussian_process import GaussianProcess
-from mobo_tuner.core.linear_algebra import FloatArray, single_blas_thread
+from mobo_tuner.core.linear_algebra import single_blas_thread
 
 D, P = 6, 7
 COLUMNS = ("fit", "refit", "add", "predict 640", "gradient 64", "gradient 1")

@@ -14,9 +14,10 @@ from mobo_tuner.core.acquisition import (
     ExpectedHypervolumeImprovement,
     UpperConfidenceBoundHypervolumeImprovement,
 )
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.gaussian_process import GaussianProcess, GaussianProcessSettings
 from mobo_tuner.core.hypervolume import BoxDecomposition
-from mobo_tuner.core.pareto import FloatArray, pareto_front
+from mobo_tuner.core.pareto import pareto_front
 
 # Safe for colour-blind readers: the palette of Okabe and Ito.
 BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"

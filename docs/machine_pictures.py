@@ -22,7 +22,8 @@ from awa_sim_node.simulation.injector import SCREEN, Injector, Resolution, Setti
 from awa_sim_node.simulation.moments import emittance, moments
 from awa_sim_node.surrogate import Surrogate, metadata
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.core.pareto import FloatArray, is_nondominated
+from mobo_tuner.core.arrays import FloatArray
+from mobo_tuner.core.pareto import is_nondominated
 
 MIDDLE = {s.name: 0.5 * sum(s.machine_limits) for s in metadata.SETTINGS}
 FOCUSED = MIDDLE | {"K2": 262.0, "G1": 62.5}

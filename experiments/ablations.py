@@ -22,7 +22,7 @@ from experiments.peers.methods import output_names
 from experiments.peers.problems import EVERY, HELD_OUT
 from experiments.peers.race import hypervolumes, outputs
 from mobo_tuner.core import Optimizer
-from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 
 PRESENT = "default"
 CHOICES: dict[str, dict[str, Any]] = {

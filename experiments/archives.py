@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments.problems import Benchmark, awa, cached, run, surrogate_digest
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 
 N_OBJECTIVES = 7
 N_VARIABLES = 6

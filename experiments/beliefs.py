@@ -26,7 +26,8 @@ import numpy as np
 from experiments.problems import Benchmark, awa, cached, dtlz2, toy
 from experiments.run_cache import core_digest
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.core.pareto import FloatArray, is_nondominated
+from mobo_tuner.core.arrays import FloatArray
+from mobo_tuner.core.pareto import is_nondominated
 
 Outputs = dict[str, Any]
 Fault = Callable[[int, dict[str, float], np.random.Generator], Outputs | None]

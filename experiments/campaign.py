@@ -30,7 +30,7 @@ import numpy as np
 
 from experiments.problems import surrogate_digest
 from experiments.run_cache import core_digest
-from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.files import replace_file
 from robustness.processes import exit_at_sigterm
 

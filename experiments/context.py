@@ -21,7 +21,7 @@ from experiments.beliefs import BENCHMARKS, output_ranges, true_hypervolume
 from experiments.drift import MOVED
 from experiments.problems import Benchmark
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 
 _TRAVEL = 0.4  # of a normalised variable, to either side
 _PERIOD = 40.0  # evaluations

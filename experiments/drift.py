@@ -28,7 +28,7 @@ from experiments.beliefs import BENCHMARKS, output_ranges, true_hypervolume
 from experiments.problems import Benchmark, cached
 from experiments.run_cache import core_digest
 from mobo_tuner.core import Optimizer
-from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 
 KINDS = ("steady", "moving", "jump", "scaled")
 FRESH = 50

@@ -34,7 +34,7 @@ from awa_sim_node.simulation.injector import SCREEN, Injector, Resolution, Setti
 from awa_sim_node.surrogate import Surrogate
 from experiments.peers.problems import PROBLEMS as PUBLISHED
 from mobo_tuner.core import Optimizer, Problem
-from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 
 CONFIG = Path(__file__).resolve().parent.parent / "config" / "fidelity.yaml"
 _SHARE = 0.1  # cost of the cheapest fidelity of the analytic problems

@@ -21,8 +21,8 @@ from scipy.stats import qmc
 
 from experiments.problems import Benchmark, awa, dtlz2, run, toy
 from mobo_tuner.core import Optimizer
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.hypervolume import BoxDecomposition
-from mobo_tuner.core.pareto import FloatArray
 
 PROBLEMS: dict[str, Callable[[], Benchmark]] = {"toy": toy, "dtlz2_3": dtlz2, "awa": awa}
 _CHOOSING, _JUDGING = 64, 1024  # draws

@@ -17,8 +17,8 @@ import numpy as np
 
 from experiments.problems import awa, dtlz2, toy
 from mobo_tuner.core import kernels
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.gaussian_process import GaussianProcess, GaussianProcessSettings
-from mobo_tuner.core.pareto import FloatArray
 
 Function = Callable[[FloatArray], FloatArray]
 POINTS = 200

@@ -31,8 +31,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.hypervolume import hypervolume
-from mobo_tuner.core.pareto import FloatArray
 
 STARTS = 5
 PERIOD = 12.0  # evaluations

@@ -16,8 +16,8 @@ import numpy as np
 from awa_sim_node.surrogate import Surrogate
 from awa_sim_node.surrogate import metadata as surrogate_metadata
 from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.hypervolume import hypervolume
-from mobo_tuner.core.pareto import FloatArray
 from mobo_tuner.core.prior_mean import PriorMean
 
 CACHE = Path(__file__).resolve().parent / ".cache"

@@ -15,9 +15,10 @@ import pygmo
 from numba import njit
 
 from experiments.problems import Benchmark
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.hypervolume import BoxDecomposition
 from mobo_tuner.core.initial_design import initial_design
-from mobo_tuner.core.pareto import FloatArray, is_below, is_nondominated
+from mobo_tuner.core.pareto import is_below, is_nondominated
 
 POPULATION = 20  # NSGA-II of the paper, with the two probabilities
 CROSSOVER, MUTATION = 0.8, 0.05

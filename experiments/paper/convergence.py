@@ -25,7 +25,7 @@ from experiments.paper.injector import (
     tune,
     tune_perfectly,
 )
-from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 
 NSGA2_EVALUATIONS = 17_500
 METHODS = {

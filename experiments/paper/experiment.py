@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.campaign import PlannedRun, Results, Size
-from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 
 STYLE: dict[Any, Any] = {
     "figure.dpi": 110,

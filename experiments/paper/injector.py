@@ -24,8 +24,9 @@ from experiments.problems import (
     prior_means,
 )
 from experiments.run_cache import cached_run
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.hypervolume import hypervolume
-from mobo_tuner.core.pareto import FloatArray, is_nondominated
+from mobo_tuner.core.pareto import is_nondominated
 
 PICTURED = 0  # seed of the single runs in a picture
 INITIAL = {"paper": 20, "default": 8}  # points of the initial design, which no model chooses

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from experiments.campaign import PlannedRun, Record, Results, Size
 from experiments.paper.experiment import Experiment, Row, draw_curves, runs
 from experiments.paper.injector import INITIAL, PICTURED, tune, tune_perfectly
-from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 
 # The paper gives Sigma = 0.25 I. As a precision, which its text says, that hardly matters; as a covariance it is 4 I.
 PRECISIONS = {"proximal": 4.0, "proximal 0.25": 0.25}

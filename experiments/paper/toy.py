@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from experiments.campaign import Record, rounded
 from experiments.problems import PERFECT, prior_means, resume, toy
 from mobo_tuner.core import Optimizer
-from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 
 INITIAL = 5
 START: dict[str, Any] = {"initial_evaluations": INITIAL, "initial_design": "random"}

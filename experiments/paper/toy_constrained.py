@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from experiments.campaign import PlannedRun, Results, Size
 from experiments.paper.experiment import Experiment, Row, draw_curves, runs
 from experiments.paper.toy import INITIAL, PICTURED, evaluated, grid, input_axes, run_toy
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.constraints import ProbabilityOfFeasibility
 from mobo_tuner.core.gaussian_process import GaussianProcess
-from mobo_tuner.core.pareto import FloatArray
 
 LIMIT = 0.5
 GRID = 121

@@ -23,7 +23,7 @@ import numpy as np
 
 from experiments.problems import Benchmark
 from mobo_tuner.core import Problem
-from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 
 
 def _centres(d: int, n_objectives: int, distance: float) -> FloatArray:

@@ -15,7 +15,7 @@ import numpy as np
 
 from experiments.problems import PERFECT, Benchmark, prior_means
 from mobo_tuner.core import Optimizer
-from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 
 Suggester = Callable[[FloatArray, FloatArray], FloatArray]
 """Function from inputs `(n, d)` and measured outputs `(n, P + C)` to the next inputs `(q, d)`."""

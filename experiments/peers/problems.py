@@ -32,7 +32,7 @@ import numpy as np
 from experiments.peers.hard import HARD
 from experiments.problems import Benchmark, awa, awa_variant, dtlz2, toy
 from mobo_tuner.core import Problem
-from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 
 Function = Callable[[FloatArray], FloatArray]
 """Function from set-points `(n, d)` in their own units to values `(n, k)`."""

@@ -15,9 +15,9 @@ from experiments.campaign import Record, rounded
 from experiments.peers.methods import METHODS, output_names
 from experiments.peers.problems import EVERY
 from experiments.problems import Benchmark
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.hypervolume import BoxDecomposition
 from mobo_tuner.core.initial_design import initial_design
-from mobo_tuner.core.pareto import FloatArray
 
 
 def race(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 
 
 class AnalyticModel:

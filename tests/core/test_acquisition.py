@@ -20,9 +20,9 @@ from mobo_tuner.core.acquisition import (
     UpperConfidenceBoundHypervolumeImprovement,
     beta_schedule,
 )
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.constraints import ProbabilityOfFeasibility
 from mobo_tuner.core.hypervolume import BoxDecomposition
-from mobo_tuner.core.pareto import FloatArray
 from mobo_tuner.core.proximal import ProximalBiasing
 from tests.core.analytic_model import AnalyticModel
 

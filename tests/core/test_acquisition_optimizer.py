@@ -14,8 +14,8 @@ from mobo_tuner.core.acquisition import (
     UpperConfidenceBoundHypervolumeImprovement,
 )
 from mobo_tuner.core.acquisition_optimizer import Maximizer, MultiStart, ParticleSwarm
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.hypervolume import BoxDecomposition
-from mobo_tuner.core.pareto import FloatArray
 from mobo_tuner.core.proximal import ProximalBiasing
 from tests.core.analytic_model import AnalyticModel
 

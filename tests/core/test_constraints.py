@@ -10,8 +10,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.constraints import ProbabilityOfFeasibility, log_probability_between
-from mobo_tuner.core.pareto import FloatArray
 from tests.core.analytic_model import AnalyticModel
 
 MEANS = np.array([-30.0, -5.0, -1.0, 0.0, 0.3, 2.0, 8.0, 30.0])

@@ -8,9 +8,9 @@ from scipy.optimize import LinearConstraint, minimize
 
 from mobo_tuner.core.acquisition import AcquisitionFunction, Predictions
 from mobo_tuner.core.acquisition_optimizer import MAXIMIZERS
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.domain import Domain, EmptyDomainError
 from mobo_tuner.core.initial_design import initial_design
-from mobo_tuner.core.pareto import FloatArray
 
 A = np.array([[1.0, 1.0, 0.5], [-0.2, 1.0, -1.0]])
 LOWER, UPPER = np.array([-np.inf, -0.3]), np.array([0.4, 0.9])

@@ -14,8 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.hypervolume import BoxDecomposition, hypervolume
-from mobo_tuner.core.pareto import FloatArray, is_below, pareto_front
+from mobo_tuner.core.pareto import is_below, pareto_front
 
 REFERENCE = 4.0
 

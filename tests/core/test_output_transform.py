@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from mobo_tuner.core import Optimizer
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.constraints import log_probability_between
 from mobo_tuner.core.gaussian_process import GaussianProcess, GaussianProcessSettings
 from mobo_tuner.core.output_scaling import OutputScaling, has_heavy_tail_about
 from mobo_tuner.core.output_transform import Logarithm, SignedLogarithm, transform_from_state
-from mobo_tuner.core.pareto import FloatArray
 from tests.core.toy_runs import with_changes
 
 ABOUT = SignedLogarithm(limit=3.0, width=0.5)

@@ -6,9 +6,9 @@ import moocore
 import numpy as np
 import pytest
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.pareto import (
     BoolArray,
-    FloatArray,
     count_nondominated,
     is_below,
     is_nondominated,

@@ -7,7 +7,7 @@ import pytest
 
 from experiments.peers.hard import HARD
 from experiments.peers.problems import HELD_OUT, PROBLEMS
-from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 
 
 def sample(name: str) -> tuple[FloatArray, FloatArray]:

@@ -64,6 +64,30 @@ def test_every_shipped_file_is_good_and_chooses_its_machine() -> None:
         assert bool(configuration.simulation) == (name in ("campaign.yaml", "fidelity.yaml"))
 
 
+def test_a_check_needs_none_of_what_the_models_need() -> None:
+    """Every run begins with one, and these take longer to import than all the rest of it."""
+    program = """
+import sys
+from mobo_tuner.nodes.check_config import main
+assert main() == 0
+print(*({"numba", "scipy", "matplotlib"} & set(sys.modules)))
+"""
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            program,
+            str(CONFIG / "toy.yaml"),
+            "--machine-node=awa_sim=awa_sim_node.describe",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert done.stdout.splitlines()[1:] == [""]
+
+
 def test_a_function_of_a_campaign_is_a_simulation(tmp_path: Path) -> None:
     content = load_yaml(CONFIG / "fidelity.yaml")
     name = next(name for name in content if name.endswith("campaign"))

@@ -108,9 +108,9 @@ def test_an_existing_folder_is_left_alone(tmp_path: Path) -> None:
 
 
 def test_the_metadata_are_those_that_rosbags_writes(tmp_path: Path) -> None:
-    """The writer's own metadata, while it is open, and those of rosbags at the end must be the same.
+    """They must be the same while the bag is open and at its end.
 
-    If this fails after an update of rosbags, `_write_metadata` must follow its new format.
+    If this fails after an update of rosbags, `_metadata` must follow its new format.
     """
     found = {}
     for name, kind in (("ours", BagWriter), ("plain", Writer)):

@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mobo_tuner.core.acquisition import AcquisitionFunction
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.ascent import climb_by_curvature, climb_by_signs
 from mobo_tuner.core.domain import SMALL, Domain, sobol
-from mobo_tuner.core.pareto import FloatArray
 from mobo_tuner.core.registry import Registry
 from mobo_tuner.errors import ParameterError
 from mobo_tuner.parameter_spec import check_fields, parameter, specs_of, unknown

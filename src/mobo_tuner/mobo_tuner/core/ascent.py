@@ -16,7 +16,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 
 Function = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """Callable from points `(m, d)` to values `(m,)` and gradients `(m, d)`.

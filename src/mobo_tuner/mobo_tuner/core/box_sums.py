@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfcx
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.box_tree import LEAF, BoxTree
 from mobo_tuner.core.compilation import compiled
-from mobo_tuner.core.pareto import FloatArray
 
 _HALF_NODES, _HALF_WEIGHTS = np.polynomial.legendre.leggauss(6)
 _QUADRATURE_NODES = 0.5 * (_HALF_NODES + 1.0)

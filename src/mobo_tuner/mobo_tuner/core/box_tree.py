@@ -23,8 +23,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.compilation import compiled
-from mobo_tuner.core.pareto import FloatArray
 
 IndexArray = NDArray[Any]  # uint16, or uint32 for more than 65 000 points; unsigned is faster
 

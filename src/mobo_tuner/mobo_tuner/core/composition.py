@@ -9,10 +9,10 @@ from typing import Self
 
 import numpy as np
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.dataset import Dataset
 from mobo_tuner.core.derived import Derived
 from mobo_tuner.core.gaussian_process import GaussianProcess, Prediction
-from mobo_tuner.core.linear_algebra import FloatArray
 from mobo_tuner.core.output_model import OutputModel
 from mobo_tuner.core.prior_mean import PriorMeans
 from mobo_tuner.core.problem import Array, Problem

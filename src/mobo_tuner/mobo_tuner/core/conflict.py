@@ -8,9 +8,8 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from mobo_tuner.core.arrays import FloatArray
 
 
 def conflicting_pair(front: FloatArray) -> tuple[int, int]:

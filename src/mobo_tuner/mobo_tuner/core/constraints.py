@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import erfcx, ndtr
 
 from mobo_tuner.core.acquisition import AcquisitionFunction, Model, Predictions
-from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.validity import ValidityModel
 
 _LOG_DENSITY_AT_ZERO = -0.5 * math.log(2.0 * math.pi)

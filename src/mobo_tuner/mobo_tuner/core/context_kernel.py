@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.kernels import SHORTEST_LENGTH_SCALE, Kernel, ShapePrior
-from mobo_tuner.core.linear_algebra import FloatArray
 
 LONGEST_CONTEXT_SCALE = 1e4
 _CONTEXT_SCALE_SPREAD = 1.0  # scale of the prior of the logarithm

@@ -14,7 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]  # that of core.pareto needs numba, which a client does without
+from mobo_tuner.core.arrays import FloatArray
+
 TOLERANCE = 1e-9
 """Largest distance from a bound or a grid that is rounding, where a variable spans 2."""
 CHANGED = 1.0

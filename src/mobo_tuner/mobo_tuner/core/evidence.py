@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.context_kernel import Contextual
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
 from mobo_tuner.core.kernels import Kernel
-from mobo_tuner.core.linear_algebra import FloatArray
 from mobo_tuner.core.training import (
     CLEAR_NOISE,
     SUBSET,

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.context_kernel import Contextual
 from mobo_tuner.core.domain import sobol
 from mobo_tuner.core.evidence import NoiseEvidence, drift_evidence, noise_evidence
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
 from mobo_tuner.core.kernels import Kernel, as_inputs
-from mobo_tuner.core.linear_algebra import FloatArray, single_blas_thread
+from mobo_tuner.core.linear_algebra import single_blas_thread
 from mobo_tuner.core.one_hot import OneHot
 from mobo_tuner.core.output_scaling import LARGEST_OUTPUT, OutputScaling, is_constant
 from mobo_tuner.core.output_transform import Logarithm

@@ -9,9 +9,9 @@ from typing import Any, Self
 
 import numpy as np
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.context_kernel import Contextual
 from mobo_tuner.core.kernels import KERNELS, Kernel
-from mobo_tuner.core.linear_algebra import FloatArray
 from mobo_tuner.core.values import LARGEST
 from mobo_tuner.errors import ParameterError
 from mobo_tuner.parameter_spec import check_fields, parameter

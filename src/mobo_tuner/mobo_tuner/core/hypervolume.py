@@ -27,8 +27,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mobo_tuner.core import box_sums, box_tree, log_box_sums
+from mobo_tuner.core.arrays import FloatArray, as_points
 from mobo_tuner.core.box_tree import BoxTree
-from mobo_tuner.core.pareto import FloatArray, as_points, is_below, is_nondominated
+from mobo_tuner.core.pareto import is_below, is_nondominated
 
 _MOST_NARROW_LEVELS = 65_000
 _INITIAL_NODES = 1024

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mobo_tuner.core.linear_algebra import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.registry import Registry
 
 SHORTEST_LENGTH_SCALE = 0.05

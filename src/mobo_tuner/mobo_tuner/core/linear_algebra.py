@@ -12,11 +12,10 @@ from contextlib import contextmanager
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 from threadpoolctl import ThreadpoolController
 
-FloatArray = NDArray[np.float64]
+from mobo_tuner.core.arrays import FloatArray
 
 _FIRST_JITTER = 1e-10
 _LAST_JITTER = 1e2

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.box_tree import LEAF, BoxTree
 from mobo_tuner.core.compilation import compiled
-from mobo_tuner.core.pareto import FloatArray
 
 _LOG_DENSITY_AT_ZERO = -0.5 * math.log(2.0 * math.pi)
 _SMALLEST_STDDEV = 1e-250

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mobo_tuner.core.domain import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 
 
 class OneHot:

@@ -8,8 +8,8 @@ from typing import Any, Self
 
 import numpy as np
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.gaussian_process_settings import MeanFunction
-from mobo_tuner.core.linear_algebra import FloatArray
 from mobo_tuner.core.output_transform import (
     Logarithm,
     SignedLogarithm,

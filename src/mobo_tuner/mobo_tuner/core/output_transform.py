@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mobo_tuner.core.linear_algebra import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 
 _LARGEST_EXPONENT = 600.0
 _LEAST_DEPTH = 1e-300

@@ -9,8 +9,9 @@ from typing import NamedTuple, Self
 import numpy as np
 from scipy.linalg import blas
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.kernels import Kernel, squared_distances
-from mobo_tuner.core.linear_algebra import FloatArray, cholesky, inverse_triangle
+from mobo_tuner.core.linear_algebra import cholesky, inverse_triangle
 
 RELATIVE_JITTER = 1e-10
 """Fraction of the signal variance added to the diagonal of every covariance before factorisation."""

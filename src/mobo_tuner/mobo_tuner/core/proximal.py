@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mobo_tuner.core.acquisition import AcquisitionFunction, Predictions
-from mobo_tuner.core.pareto import FloatArray
+from mobo_tuner.core.arrays import FloatArray
 
 _SAME = 1e-6  # largest difference of one choice and itself
 

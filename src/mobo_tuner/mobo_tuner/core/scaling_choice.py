@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
-from mobo_tuner.core.linear_algebra import FloatArray
 from mobo_tuner.core.output_scaling import (
     OutputScaling,
     has_heavy_tail,

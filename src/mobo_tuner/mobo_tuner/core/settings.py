@@ -10,9 +10,9 @@ import numpy as np
 
 from mobo_tuner.core.acquisition import ACQUISITION_FUNCTIONS
 from mobo_tuner.core.acquisition_optimizer import MAXIMIZERS, Maximizer, make_maximizer
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
 from mobo_tuner.core.initial_design import DESIGNS
-from mobo_tuner.core.pareto import FloatArray
 from mobo_tuner.core.problem import LARGEST, Problem, ProblemError
 from mobo_tuner.core.proximal import ProximalBiasing
 from mobo_tuner.errors import ParameterError

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 from scipy.optimize import minimize
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
 from mobo_tuner.core.kernels import Kernel, squared_distances
-from mobo_tuner.core.linear_algebra import FloatArray, cholesky, inverse_lower
+from mobo_tuner.core.linear_algebra import cholesky, inverse_lower
 from mobo_tuner.core.posterior import RELATIVE_JITTER, Posterior
 
 _NOISE_PRIOR = (float(np.log(1e-4)), 2.0)

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lapack
 from scipy.special import betaln, expit, log_expit, log_ndtr, ndtri
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.kernels import Kernel, Matern52, as_inputs, squared_distances
 from mobo_tuner.core.linear_algebra import (
-    FloatArray,
     cholesky,
     inverse_triangle,
     single_blas_thread,
