@@ -15,6 +15,7 @@ from mobo_tuner.core.quantities import Context
 
 _FIDELITY_UNIT = 2.0  # ranges, over which a fidelity is likely to matter
 _TIME_UNIT = 100  # evaluations in a unit of time, if none is given
+_JUMP = 100.0  # units of time that pass when the machine changes at once
 
 
 class Scale(NamedTuple):
@@ -34,6 +35,7 @@ class ContextInputs:
         fidelities: Number of variables of the fidelity.
         clock: Scale of time: the latest time and its unit at the last training [s].
         timed: Whether time is an input, which is then the last one.
+        jumps: When the machine changed at once: the time of the first evaluation after each change [s].
     """
 
     names: tuple[str, ...]
@@ -41,9 +43,12 @@ class ContextInputs:
     fidelities: int
     clock: Scale
     timed: bool
+    jumps: tuple[float, ...] = ()
 
     @classmethod
-    def of(cls, data: Dataset, timed: bool, time_unit: float) -> Self:
+    def of(
+        cls, data: Dataset, timed: bool, time_unit: float, jumps: tuple[float, ...] = ()
+    ) -> Self:
         """Return the inputs for models that are trained with some evaluations.
 
         Args:
@@ -51,11 +56,13 @@ class ContextInputs:
             timed: Whether time is an input.
             time_unit: Time in which the machine changes noticeably [s]; 0 for the order of magnitude in
                 which that would matter to a run.
+            jumps: When the machine changed at once [s].
         """
         contexts = data.problem.context
         scales = tuple(_scale(context, data) for context in contexts)
         names, fidelities = tuple(c.name for c in contexts), data.lacks.shape[1]
-        return cls(names, scales, fidelities, _clock(data.times, time_unit), timed)
+        clock = _clock(data.times, time_unit)
+        return cls(names, scales, fidelities, clock, timed, jumps if timed else ())
 
     @property
     def count(self) -> int:
@@ -63,8 +70,15 @@ class ContextInputs:
         return len(self.names) + self.fidelities + self.timed
 
     def times(self, data: Dataset) -> Array:
-        """Return when each evaluation was measured ``(n,)``, before the last training, in units of time."""
-        return _scaled(data.times, self.clock)
+        """Return when each evaluation was measured ``(n,)``, before the last training, in units of time.
+
+        Much time passes in a jump, so that what was measured before it counts for little, as far as an
+        output's length-scale of time is shorter than that.
+        """
+        times = _scaled(data.times, self.clock)
+        for jump in self.jumps:
+            times -= _JUMP * (data.times < jump)
+        return times
 
     def inputs(self, data: Dataset) -> Array:
         """Return the inputs of the models ``(n, d)``."""
@@ -102,6 +116,7 @@ class ContextInputs:
             "timed": self.timed,
             "clock": list(self.clock),
             "scales": [list(scale) for scale in self.scales],
+            "jumps": list(self.jumps),
         }
 
     @classmethod
@@ -117,7 +132,8 @@ class ContextInputs:
         clock = Scale(*map(float, state["clock"]))
         if len(scales) != len(names) or not all(unit > 0.0 for _, unit in (*scales, clock)):
             raise ValueError(f"the scales of the contexts are {state['scales']}")
-        return cls(names, scales, fidelities, clock, bool(state["timed"]))
+        jumps = tuple(map(float, state.get("jumps", ())))
+        return cls(names, scales, fidelities, clock, bool(state["timed"]), jumps)
 
 
 def _scaled(values: Array, scale: Scale) -> Array:

@@ -22,12 +22,15 @@ from mobo_tuner.core.training import (
     train_lbfgs,
 )
 
-_STEPS = 30  # of a training
-_NEGLIGIBLE_NOISE = float(np.log(1e-5))  # variance, as a share of that of the outputs
+STEPS = 30  # of a training
+NEGLIGIBLE_NOISE = float(np.log(1e-5))  # variance, as a share of that of the outputs
 _NOISE_LEVELS = np.log([3e-4, 3e-3, 3e-2, 3e-1])  # the same, to look at first
 _PLATEAU = 0.25  # share of readings that are alike from which on noise is not plain to see
 _LEAST_FOR_DRIFT = 8  # observations that say anything of time
 _TIME_SCALES = np.log([0.2, 1.0, 5.0])  # to look at first, in the unit of time
+_LONG = float(
+    np.log(30.0)
+)  # time scale of a function that changes by jumps only, in the unit of time
 
 
 class NoiseEvidence(NamedTuple):
@@ -72,15 +75,15 @@ def noise_evidence(
         kernel, x[part], z[part], extra[part], settings.prior == "weak", noisy=True
     )
     n = len(objective.z)
-    bounds = objective.bounds(float(np.exp(_NEGLIGIBLE_NOISE)))
+    bounds = objective.bounds(float(np.exp(NEGLIGIBLE_NOISE)))
     free = ~np.append(kernel.optional & (parameters[:-2] == 0.0), [False, False])
     default = objective.default_parameters()
     noisy, noiseless = (
         np.array([np.append(p[:-1], noise) for p in (parameters, default)])
-        for noise in (CLEAR_NOISE, _NEGLIGIBLE_NOISE)
+        for noise in (CLEAR_NOISE, NEGLIGIBLE_NOISE)
     )
     tolerance = TOLERANCE / n
-    penalty = objective.noise_penalty(_NEGLIGIBLE_NOISE)
+    penalty = objective.noise_penalty(NEGLIGIBLE_NOISE)
 
     def lowest(starts: Iterable[FloatArray]) -> float:
         return min(objective(np.clip(p, bounds[:, 0], bounds[:, 1]))[0] for p in starts)
@@ -90,12 +93,12 @@ def noise_evidence(
     most = n * (without - learned) - penalty
     if most <= 0.0:  # no noise explains the observations any better
         return NoiseEvidence(most, False)
-    noisy_best, learned = train_lbfgs(objective, noisy, bounds, free, tolerance, _STEPS)
+    noisy_best, learned = train_lbfgs(objective, noisy, bounds, free, tolerance, STEPS)
     most = n * (without - learned) - penalty
     if most <= 0.0:  # the training below only lowers what there is without noise
         return NoiseEvidence(most, False)
     free[-1] = False
-    noiseless_best, without = train_lbfgs(objective, noiseless, bounds, free, tolerance, _STEPS)
+    noiseless_best, without = train_lbfgs(objective, noiseless, bounds, free, tolerance, STEPS)
     gain = float(left_out_gains(objective, noisy_best, objective, noiseless_best).sum())
     # Readings that are exactly alike in many places are those of a plateau, not of noise.
     alike = np.unique(z, return_counts=True)[1].max() > _PLATEAU * len(z)
@@ -137,8 +140,10 @@ def drift_evidence(
     steady = NegativeLogPosterior(kernel.without_last(), x[:, :-1], z, extra, weak, noisy=True)
     free = held_parameters(settings, kernel, 1.0)[1]
     noises = [parameters[-1], *_NOISE_LEVELS[:3]] if free[-1] else [parameters[-1]]
+    # A function that takes what changed for detail has short length-scales, with which time explains little.
     levels = [
-        np.concatenate([parameters[:at], [scale, parameters[-2], noise]])
+        np.concatenate([shape, [scale, parameters[-2], noise]])
+        for shape in (parameters[:at], kernel.default_parameters()[:at])
         for scale in _TIME_SCALES
         for noise in noises
     ]
@@ -151,7 +156,7 @@ def drift_evidence(
         objective: NegativeLogPosterior, starts: list[FloatArray], moving: NDArray[np.bool_]
     ) -> tuple[FloatArray, float]:
         bounds = objective.bounds(settings.minimum_noise)
-        return train_lbfgs(objective, np.array(starts), bounds, moving, TOLERANCE / n, _STEPS)
+        return train_lbfgs(objective, np.array(starts), bounds, moving, TOLERANCE / n, STEPS)
 
     changing, with_time = best(timed, levels[:1], free)
     plain = np.delete(parameters, at)

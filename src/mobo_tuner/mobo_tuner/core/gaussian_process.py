@@ -15,6 +15,7 @@ from mobo_tuner.core.context_kernel import Contextual
 from mobo_tuner.core.domain import sobol
 from mobo_tuner.core.evidence import NoiseEvidence, drift_evidence, noise_evidence
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings, MeanFunction
+from mobo_tuner.core.jump import JumpEvidence
 from mobo_tuner.core.kernels import Kernel, as_inputs
 from mobo_tuner.core.linear_algebra import single_blas_thread
 from mobo_tuner.core.one_hot import OneHot
@@ -67,6 +68,17 @@ class _State(NamedTuple):
     y: FloatArray
     stddev: FloatArray
     x: FloatArray
+
+
+class _WithTime(NamedTuple):
+    """What the evidence of time takes, see `evidence.drift_evidence`."""
+
+    settings: GaussianProcessSettings
+    kernel: Contextual
+    x: FloatArray
+    z: FloatArray
+    known: FloatArray
+    parameters: FloatArray
 
 
 class GaussianProcess:
@@ -386,21 +398,29 @@ class GaussianProcess:
             times: Times of the observations `(n,)`, in the unit of time.
             timed: Whether the last input is time.
         """
+        with single_blas_thread():
+            return drift_evidence(*self._with_time(times, timed))
+
+    def jump_evidence(self, times: FloatArray, timed: bool) -> JumpEvidence:
+        """Return what tells whether the function changed at once, see `jump.JumpEvidence`.
+
+        Args:
+            times: Times of the observations `(n,)`, in the unit of time.
+            timed: Whether the last input is time.
+        """
+        with single_blas_thread():
+            return JumpEvidence(*self._with_time(times, timed), timed)
+
+    def _with_time(self, times: FloatArray, timed: bool) -> _WithTime:
+        """Return what the evidence of time takes; the time scale is any if time is no input."""
         model, posterior, y, stddev, _ = self._fitted
         d, others = posterior.kernel.d - timed, self.contexts - timed
+        kernel = Contextual(self.settings.make_kernel(d - others), others + 1)
         x = np.column_stack([posterior.x[:, :d], times])
-        shape = posterior.shape[:-1] if timed else posterior.shape
-        settable = self.settings.make_kernel(d - others)
+        shape = posterior.shape if timed else np.append(posterior.shape, 0.0)
+        parameters = np.concatenate([shape, model.parameters[-2:]])
         known = self._known_noise(model.scaling, y, stddev)
-        with single_blas_thread():
-            return drift_evidence(
-                self.settings,
-                Contextual(settable, others + 1),
-                x,
-                posterior.z,
-                known,
-                np.concatenate([shape, [0.0], model.parameters[-2:]]),
-            )
+        return _WithTime(self.settings, kernel, x, posterior.z, known, parameters)
 
     def plain(self) -> GaussianProcess:
         """Return a model of the same observations that leaves out what is optional for the kernel, now and later."""

@@ -18,6 +18,8 @@ FEWEST_PER_VARIABLE = 10
 """The same for each variable."""
 FEWEST_ON_FRONT = 3
 """Least number of points by which the range of the front is judged."""
+RECENT = 50
+"""Number of evaluations for which a change is told."""
 UNEXPLAINED = 0.9
 """Share of the readings' spread by which predictions are off where the model predicts badly.
 
@@ -89,6 +91,24 @@ def doubts(models: Mapping[str, GaussianProcess], belief: Belief, *, noisy: bool
                 f"{where}; take more shots, or end the run"
             )
     return sentences
+
+
+def sudden_change(data: Dataset, jumps: Sequence[float]) -> list[str]:
+    """Return that the machine changed at once, until `RECENT` evaluations came after that.
+
+    Args:
+        data: Evaluations.
+        jumps: Times of the first evaluation after each change [s].
+    """
+    if not jumps:
+        return []
+    after = np.flatnonzero(data.times >= jumps[-1])
+    if len(after) == 0 or len(after) > RECENT:
+        return []
+    return [
+        f"the machine changed at once, before evaluation {after[0]}: find out what happened; what was "
+        "measured earlier counts for less now"
+    ]
 
 
 def doubtful_references(

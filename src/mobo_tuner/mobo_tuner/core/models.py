@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
 from typing import Any
@@ -21,6 +20,7 @@ from mobo_tuner.core.composition import (
 from mobo_tuner.core.context import ContextInputs
 from mobo_tuner.core.dataset import BoolArray, Dataset
 from mobo_tuner.core.gaussian_process import GaussianProcess
+from mobo_tuner.core.jump import find_jump
 from mobo_tuner.core.output_model import OutputModel
 from mobo_tuner.core.prior_mean import Prior, PriorMeans
 from mobo_tuner.core.problem import Array, Problem, ProblemError
@@ -208,6 +208,11 @@ class Models:
         return self._steadiness.drifts
 
     @property
+    def jumps(self) -> tuple[float, ...]:
+        """When the machine changed at once: the time of the first evaluation after each change [s]."""
+        return self._steadiness.jumps
+
+    @property
     def varies(self) -> bool:
         """Whether the machine changes with what nobody sets, so that old readings are not those of now."""
         return self.drifts or bool(self._problem.context)
@@ -338,9 +343,11 @@ class Models:
             Whether any process was trained.
         """
         if train:
-            former, drifts = self._context, self.drifts
-            self._context = ContextInputs.of(data, drifts, self._settings.drift_time)
-            if drifts != former.timed:
+            former, drift_time = self._context, self._settings.drift_time
+            self._context = context = ContextInputs.of(
+                data, self.drifts, drift_time, self._steadiness.jumps
+            )
+            if (context.timed, context.jumps) != (former.timed, former.jumps):
                 restarts = None
                 for name, process in self._untrained().items():
                     self._outputs[name].process = process
@@ -379,14 +386,15 @@ class Models:
             for position, output in enumerate(self._outputs.values()):
                 seed = [self._seed, 7, count, position]
                 output.suspect_doubtful(data, inputs, doubted, noisy, seed)
-        if train and (restarts is None or count <= _FEW):
-            deadline = begin + _TRAINING_SHARE * self._seconds
-            if self._settings.drift == "auto" and not again:
-                self._steadiness = self._steadiness.with_drift_of(
-                    self._timed_outputs(data), self._context.timed, deadline
-                )
-                if self.drifts != self._context.timed and not self._is_hurried:
-                    return self._learn(data, train, restarts, again=True)
+        thorough = train and (restarts is None or count <= _FEW)
+        deadline = begin + _TRAINING_SHARE * self._seconds
+        if train and self._settings.drift != "none" and not again:
+            before = self._steadiness
+            self._look_for_drift(data, thorough, deadline)
+            changed = (before.drifts, before.jumps) != (self.drifts, self._steadiness.jumps)
+            if changed and not self._is_hurried:
+                return self._learn(data, train, restarts, again=True)
+        if thorough:
             self._steadiness = self._steadiness.with_noise_of(
                 [output.process for output in self._outputs.values()], deadline
             )
@@ -401,13 +409,32 @@ class Models:
         """Let those derived quantities be predicted by their parts that are better so."""
         self._composed = composed_processes(self._compositions, self.by_parts, self._outputs)
 
-    def _timed_outputs(self, data: Dataset) -> Iterator[tuple[GaussianProcess, Array]]:
-        """Yield the process of each output, and when its observations were measured ``(n,)``."""
-        times, inputs = self._context.times(data), self._context.inputs(data)
-        for output in self.learned:
-            rows = output.selected(data, inputs)
-            if len(rows) == output.process.n:
-                yield output.process, times[rows]
+    def _look_for_drift(self, data: Dataset, thorough: bool, deadline: float) -> None:
+        """Find out whether the machine changes with time, and whether it changed at once.
+
+        Args:
+            data: Evaluations.
+            thorough: Whether to look for slow changes if there is no jump.
+            deadline: Time by which that must be known [s], of `time.monotonic`.
+        """
+        times, timed = self._context.times(data), self._context.timed
+        outputs = self._trained_outputs(data)
+        jump = None
+        if not self._is_hurried:
+            evidence = [(p.jump_evidence(times[rows], timed), rows) for p, rows in outputs]
+            jump = find_jump(self._context, data, evidence)
+        if self._settings.drift == "auto" and (thorough or jump is not None):
+            timed_outputs = [(process, times[rows]) for process, rows in outputs]
+            self._steadiness = self._steadiness.with_drift_of(timed_outputs, timed, deadline)
+        # What changes slowly is explained by a jump, too: the next training says which it is.
+        if jump is not None and self.drifts == timed:
+            self._steadiness = self._steadiness.with_jump(jump)
+
+    def _trained_outputs(self, data: Dataset) -> list[tuple[GaussianProcess, NDArray[np.intp]]]:
+        """Return the process of each output, and which evaluations it was trained with."""
+        inputs = self._context.inputs(data)
+        outputs = [(output.process, output.selected(data, inputs)) for output in self.learned]
+        return [(process, rows) for process, rows in outputs if len(rows) == process.n]
 
     def _set_now(self, data: Dataset) -> None:
         """Let the processes predict for the latest contexts and time that they hold."""
@@ -516,6 +543,7 @@ class Models:
                 f"but there are {len(data)}"
             )
         self._context = ContextInputs.from_state(state["context"], self._problem)
+        self._steadiness = replace(self._steadiness, jumps=self._context.jumps)
         judged = self._selection.of_failures(data, self._judged)
         self.validity = ValidityModel.from_state(
             state["validity"],

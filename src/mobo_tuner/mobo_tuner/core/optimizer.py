@@ -18,7 +18,7 @@ from mobo_tuner.core.archive import Archive
 from mobo_tuner.core.batch import Pending
 from mobo_tuner.core.dataset import Dataset, Evaluation, Measured
 from mobo_tuner.core.focus import around, choose_on_front
-from mobo_tuner.core.hints import doubtful_references, doubts, hints
+from mobo_tuner.core.hints import doubtful_references, doubts, hints, sudden_change
 from mobo_tuner.core.models import Models
 from mobo_tuner.core.optimizer_state import (
     STATE_VERSION,
@@ -243,7 +243,8 @@ class Optimizer:
 
         For example that no point is better than the reference in one objective, and by how much, that
         a constraint was never met, that all readings of a diagnostic are alike, that a reference was
-        inferred from a suspected reading, or that a model predicts badly. The models are judged after
+        inferred from a suspected reading, that the machine changed at once, or that a model predicts
+        badly. The models are judged after
         every `JUDGE_PERIOD` evaluations.
         """
         archive = self.archive
@@ -254,6 +255,7 @@ class Optimizer:
         found = hints(archive.dataset, archive.belief)
         if not self._given.has_references:
             found += doubtful_references(self._given, archive.dataset, self.suspected)
+        found += sudden_change(archive.dataset, archive.models.jumps)
         return found + self._doubts
 
     @overload

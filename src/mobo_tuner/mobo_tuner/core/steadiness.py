@@ -34,6 +34,7 @@ class Steadiness:
         is_noisy_by_evidence: Whether the evidence says that there is noise, as of the last training.
         may_be_noisy: Whether the evidence leaves it open, so that a set-point should be measured again.
         drift_evidence: Log evidence of drift at the last training.
+        jumps: When the machine changed at once: the time of the first evaluation after each change [s].
     """
 
     noise: str | float
@@ -41,11 +42,13 @@ class Steadiness:
     is_noisy_by_evidence: bool = False
     may_be_noisy: bool = False
     drift_evidence: float = 0.0
+    jumps: tuple[float, ...] = ()
 
     @property
     def drifts(self) -> bool:
         """Whether the machine changes with time."""
-        return self.drift == "on" or (self.drift == "auto" and self.drift_evidence > _DRIFTS)
+        seen = bool(self.jumps) or self.drift_evidence > _DRIFTS
+        return self.drift == "on" or (self.drift == "auto" and seen)
 
     def learns_noise(self, data: Dataset) -> bool:
         """Return whether the noise is learned and there is some.
@@ -85,6 +88,14 @@ class Steadiness:
         # At even numbers only, so that others are asked for where a client does not measure this one.
         doubtful = self.may_be_noisy and isinstance(self.noise, str) and len(data) % 2 == 0
         return doubtful and not (data.once(is_repeated) or data.once(readings_differ))
+
+    def with_jump(self, moment: float) -> Steadiness:
+        """Return the steadiness of a machine that changed at once.
+
+        Args:
+            moment: Time of the first evaluation after that [s].
+        """
+        return replace(self, jumps=(*self.jumps, moment))
 
     def with_noise_of(self, processes: Iterable[GaussianProcess], deadline: float) -> Steadiness:
         """Return the steadiness with the evidence of noise in all outputs.
