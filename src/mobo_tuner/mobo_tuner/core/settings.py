@@ -60,7 +60,8 @@ class OptimizerSettings(GaussianProcessSettings):
     drift: str = parameter(
         "none",
         "Whether the machine changes with time, which is then an input of the models: never, by the "
-        "evidence (`auto`), or yes (`on`). Front, hypervolume and suggestions are those of now.",
+        "evidence (`auto`), or yes (`on`). Front, hypervolume and suggestions are those of now, after a "
+        "sudden change, too.",
         choices=("none", "auto", "on"),
     )
     drift_time: float = parameter(
