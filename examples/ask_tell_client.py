@@ -1,7 +1,7 @@
 """Own the loop: ask the tuner where to measure, measure by yourself, tell it what was measured.
 
-There is no machine node: this program is the machine, and plays the paper's toy problem. The tuner must be running
-in the ROS domain of the environment:
+There is no machine node: this program is the machine, and plays the paper's toy problem. A tuner with
+config/toy.yaml must be running in the ROS domain of the environment:
 
     python examples/ask_tell_client.py 20
 """
