@@ -260,8 +260,9 @@ def _check_again(
     default = before if before.command else Machine()
     checked = _check(project, config, scratch, default, "--program-yields")
     if before.section and not checked.machine.section:
+        file = options.config or earlier.path / CONFIG_FILE
         raise UsageError(
-            f"'{options.config}' names no machine, and the run '{earlier.run_id}' had that of its "
+            f"'{file}' names no machine, and the run '{earlier.run_id}' had that of its "
             f"section '{before.section}'; add that section, or start a program by --machine"
         )
     return checked

@@ -251,6 +251,10 @@ def test_a_file_without_the_section_of_the_machine_is_not_resumed(project: FakeP
     assert status == 2
     assert config in errors
     assert "section 'awa_sim'" in errors
+    # The run's own file is named, too, from which somebody has taken the section.
+    status, _, errors = project.run("resume", "mine", check_config="external")
+    assert status == 2
+    assert str(project.root / "runs" / "mine" / "config.yaml") in errors
     assert not (project.root / "runs" / "mine-2").exists()
 
 

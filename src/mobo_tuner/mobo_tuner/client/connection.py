@@ -25,6 +25,7 @@ from mobo_msgs_py import msg
 from mobo_tuner.client.values import ErrorCode, TunerError
 from mobo_tuner.ros import interfaces
 from mobo_tuner.ros.executor_thread import ExecutorThread
+from mobo_tuner.ros.parameters import check_domain
 
 SILENCE_TIMEOUT = 5.0  # [s] without a status, which is published at 1 Hz, until the tuner is lost
 RESTART_TIMEOUT = 2.0  # [s] without a status, after which the tuner may have been restarted
@@ -83,6 +84,7 @@ class Connection:
         self._timeout = timeout
         self._context: Context | None = None
         if node is None:
+            check_domain(domain_id)
             self._context = Context()
             rclpy.init(context=self._context, domain_id=domain_id)
             node = Node(

@@ -28,6 +28,7 @@ from mobo_tuner.machine.description import MachineDescription, VariableLimits
 from mobo_tuner.nodes.check_config import describe_by
 from mobo_tuner.parameter_file import node_sections
 from mobo_tuner.ros import interfaces
+from mobo_tuner.ros.parameters import check_domain
 
 ANSWER_TIMEOUT = 1.0  # [s] for one request, which is lost if it is sent right after discovery
 
@@ -41,6 +42,7 @@ def ask_machine(timeout: float) -> MachineDescription:
     Raises:
         UserError: If none answers.
     """
+    check_domain()
     context = Context()
     rclpy.init(context=context)
     node = Node("new_config", context=context, enable_rosout=False, start_parameter_services=False)

@@ -24,6 +24,7 @@ from mobo_tuner.client import (
 )
 from mobo_tuner.displays.console_view import make_view
 from mobo_tuner.displays.progress import contexts_text
+from mobo_tuner.errors import ParameterError
 from mobo_tuner.wording import counted
 
 POLL_PERIOD = 0.1  # [s]
@@ -322,6 +323,9 @@ def run(arguments: Sequence[str]) -> int:
             _say(VERBS[options.verb](client, options), sys.stdout)
     except TunerError as error:
         _say(f"refused: {error}" if error.code in REFUSALS else str(error), sys.stderr)
+        return EXIT_ERROR
+    except ParameterError as error:
+        _say(str(error), sys.stderr)
         return EXIT_ERROR
     except KeyboardInterrupt:
         _say("stopped", sys.stderr)

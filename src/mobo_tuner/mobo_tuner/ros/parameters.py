@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 import re
 import sys
 import tempfile
@@ -28,7 +29,26 @@ EVERY_NODE = "/**"
 """Section of a parameter file that all nodes take."""
 _OF_ROS = ("use_sim_time", "start_type_description_service")
 _GAPS: tuple[object, ...] = (None, {}, [])
+HIGHEST_DOMAIN = 232
+"""Highest ROS domain, beyond which there are no UDP ports."""
 _NEARLY = 0.8  # similarity above which a name counts as another one misspelt
+
+
+def check_domain(domain_id: int | None = None) -> None:
+    """Check a ROS domain, of which ROS says neither name nor value, or ends the process.
+
+    Args:
+        domain_id: Domain; None for that of the environment.
+
+    Raises:
+        ParameterError: If there is no such domain.
+    """
+    name = "ROS_DOMAIN_ID" if domain_id is None else "domain_id"
+    text = os.environ.get(name, "") if domain_id is None else str(domain_id)
+    if text and not (text.isdecimal() and len(text) < 4 and int(text) <= HIGHEST_DOMAIN):
+        raise ParameterError(
+            f"{name} is '{text}'; an integer from 0 to {HIGHEST_DOMAIN} is allowed"
+        )
 
 
 @contextmanager
@@ -48,9 +68,10 @@ def as_node_arguments(arguments: Sequence[str], name: str = "") -> Iterator[list
         name: Name of the node, unless it is renamed.
 
     Raises:
-        ParameterError: If the node's name or namespace is not allowed, or if a section of a file has
-            nearly the node's name, and none has it.
+        ParameterError: If the node's name, namespace or domain is not allowed, or if a section of a file
+            has nearly the node's name, and none has it.
     """
+    check_domain()
     node = _full_name(arguments, name)
     _refuse_misspelt_sections(arguments, name, node)
     with ExitStack() as files:

@@ -123,7 +123,10 @@ def run_node(
                 return 2
             rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy raises many kinds for an unreadable parameter file
-        print(f"cannot start: {_first_line(error)}", file=sys.stderr)
+        reason = _first_line(error)
+        if type(error).__name__ == "UnknownROSArgsError":  # whose words are a list alone
+            reason = f"ROS knows none of the arguments {reason}; see --help"
+        print(f"cannot start: {reason}", file=sys.stderr)
         return 2
     executor = SingleThreadedExecutor()
     try:
