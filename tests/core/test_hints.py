@@ -244,3 +244,33 @@ def test_a_reference_that_was_inferred_from_a_wild_reading_is_told(direction: st
     optimizer.forget(2, "f")
     assert optimizer.hints() == []
     assert abs(optimizer.problem.reference_point[0]) < 10.0
+
+
+def test_withdrawn_readings_are_not_said_to_be_unmeasured() -> None:
+    optimizer = Optimizer(problem({"f": {"reference": 3.0}}), seed=0)
+    for _ in range(3):
+        optimizer.tell(optimizer.ask(), {"f": 4.0})
+        optimizer.forget(len(optimizer.dataset) - 1, "f")
+    assert optimizer.hints() == ["all readings of f are withdrawn"]
+    for index in range(3):
+        optimizer.forget(index)
+    assert optimizer.hints() == ["all 3 evaluations are withdrawn"]
+    optimizer.tell(optimizer.ask(), {})
+    assert optimizer.hints() == [
+        "all 4 evaluations failed or are withdrawn: see why the last one did"
+    ]
+
+
+@pytest.mark.parametrize(("goal", "size"), [(5.0, 0.0), (1e9, 1e-9), (-1e20, 1.0)])
+def test_a_reference_is_inferred_where_a_goal_is_far_from_all_readings(
+    goal: float, size: float
+) -> None:
+    direction = "minimize" if goal > 0.0 else "maximize"
+    optimizer = Optimizer(problem({"f": {"goal": goal, "direction": direction}, "g": {}}), seed=0)
+    for _ in range(8):
+        setpoint = optimizer.ask()
+        optimizer.tell(setpoint, {"f": size * bowl(**setpoint), "g": setpoint["x"]})
+    reference = optimizer.problem.objectives[0].reference
+    assert abs(reference) < 1.2 * abs(goal)
+    assert reference > goal if direction == "minimize" else reference < goal
+    assert optimizer.pareto_front()

@@ -64,6 +64,14 @@ def test_what_cannot_be_told_is_refused_and_nothing_is_learned(
     assert len(told.dataset) == 1
 
 
+@pytest.mark.parametrize("value", [0.0, -0.5])
+def test_a_set_point_of_a_logarithmic_scale_must_be_positive(value: float) -> None:
+    variables = {"x": {"min": 0.001, "max": 1.0, "scale": "log"}}
+    told = Optimizer(Problem.from_dict(PROBLEM | {"variables": variables}))
+    with pytest.raises(ProblemError, match="scale log it must be greater than 0"):
+        told.tell({"x": value}, {"f": 1.0})
+
+
 @pytest.mark.parametrize(
     "reading",
     [sys.float_info.max, -1e300, 3.4028234e38, 9.91e37, -9.9e37, math.inf, math.nan, None, -9999.0],
@@ -115,6 +123,7 @@ def test_any_magnitude_that_is_taken_can_be_worked_with(power: int) -> None:
         ({"objectives": {"f": {"reference": 10**400}}}, "objectives.f.reference"),
         ({"objectives": {"f": {"reference": 1.0, "invalid": 9999}}}, "objectives.f.invalid"),
         ({"constraints": {"g": {"max": 1e300}}}, "constraints.g.max"),
+        ({"objectives": {"f": {"goal": 1e38}}}, "objectives.f.goal is 1e\\+38"),
     ],
 )
 def test_a_magnitude_that_cannot_be_worked_with_is_refused(
@@ -157,7 +166,14 @@ def test_sentinels_are_part_of_the_problem_as_a_mapping() -> None:
         lambda o: o.log_acquisition(np.zeros(1)),
         lambda o: o.log_acquisition(np.full((2, 1), math.nan)),
         lambda o: o.log_acquisition("0"),
+        lambda o: o.log_acquisition([[0.0], [0.0, 0.0]]),
+        lambda o: o.focus(weights={"f": 1.0}, bounds={"x": [0.0, 1.0]}),
         lambda o: o.save(1.5),
+        lambda o: o.save(""),
+        lambda o: o.save("a\0b"),
+        lambda _: Optimizer.load("a\0b"),
+        lambda _: Problem.from_yaml("a\0b"),
+        lambda _: Problem.from_yaml(None),  # type: ignore[arg-type]
         lambda o: o.save("/dev/null/state.json"),
         lambda o: o.with_problem(PROBLEM),
         lambda o: o.forget(0, {"f": 1.0}),

@@ -32,6 +32,7 @@ def test_a_restored_optimizer_asks_what_the_original_would_have_asked(
     ("text", "sentence"),
     [
         ("{", "is not JSON"),
+        ("[" * 100_000, "is not JSON"),
         ("[]", "holds no state"),
         ('{"version": 99}', "the state is of version 99"),
         ('{"version": 3}', "the state lacks 'problem'"),

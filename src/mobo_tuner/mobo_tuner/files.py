@@ -43,6 +43,8 @@ def load_yaml(path: str | Path) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise FileError(f"the file '{path}' cannot be read: {reason}") from None
+    except (TypeError, ValueError):
+        raise FileError(f"path is {path!r:.60}; the name of a file is allowed") from None
     try:
         content = yaml.load(text, Loader=_UniqueKeyLoader)
     except yaml.YAMLError as error:

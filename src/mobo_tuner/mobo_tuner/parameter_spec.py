@@ -94,6 +94,8 @@ class ParameterSpec:
         raise ParameterError(f"{name} must be {self.type_name}, not {value!r}")
 
     def _check_number(self, name: str, value: object, *, whole: bool) -> int | float:
+        if isinstance(value, float) and not whole and not math.isfinite(value):
+            raise ParameterError(f"{name} must be a finite number, not {value!r}")
         # An integer may be too large to become a float.
         if (
             isinstance(value, bool)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mobo_tuner.core.problem import FARTHEST, LARGEST, Array, Problem, ProblemError, as_float
-from mobo_tuner.core.values import as_integer
+from mobo_tuner.core.values import as_integer, as_number
 
 Measured = float | tuple[float, float]
 """Measured value of a diagnostic: its mean, or its mean and standard deviation."""
@@ -251,10 +251,7 @@ class Dataset:
         """Return the time of the next evaluation."""
         if time is None:
             return self.evaluations[-1].time + 1.0 if self.evaluations else 0.0
-        when = as_float("time", time)
-        if not abs(when) <= LARGEST:
-            raise ProblemError(f"time is {when}; a finite number of seconds is allowed")
-        return when
+        return as_number("time", time)
 
     def _measured(self, name: str, value: Measured | None) -> tuple[float, float]:
         """Return mean and standard deviation; NaN if not measured or unknown."""

@@ -88,6 +88,8 @@ def around(
     """
     if not LEAST_RADIUS <= as_float("radius", radius) <= 1.0:
         raise ProblemError(f"radius is {radius!r}; a number from {LEAST_RADIUS:g} to 1 is allowed")
+    if bounds is not None and not isinstance(bounds, Problem):
+        raise ProblemError(f"bounds must be a Problem, not {bounds!r:.60}")
     others = {v.name: v for v in bounds.variables} if bounds is not None else {}
     variables = []
     for v in problem.variables:

@@ -32,14 +32,16 @@ def hints(data: Dataset, belief: Belief) -> list[str]:
     problem = data.problem
     if not data.highest.any() or len(belief.front_rows()):
         return []
-    failed = data.failed[data.highest]
-    if failed.all():
+    failed, withdrawn = data.failed[data.highest], data.forgotten[data.highest]
+    if (failed | withdrawn).all():
         which = "" if data.highest.all() else " of the highest fidelity"
-        return [f"all {len(failed)} evaluations{which} failed: see why the last one did"]
+        if not failed.any():
+            return [f"all {len(failed)} evaluations{which} are withdrawn"]
+        others = " or are withdrawn" if withdrawn.any() else ""
+        return [f"all {len(failed)} evaluations{which} failed{others}: see why the last one did"]
     missing = [n for n in problem.required_diagnostics if np.isnan(data.column(n)).all()]
     if missing:
-        named = [f"{name} was never measured: check its name and its source" for name in missing]
-        return named + _alike(data)
+        return [_lacks(data, name) for name in missing] + _alike(data)
     return _constraints(data, belief) + _references(problem, belief) + _alike(data)
 
 
@@ -164,6 +166,13 @@ def nearest_to_reference(objectives: Array, reference: Array) -> int:
     spread = np.std(objectives, axis=0)
     spread = np.where(spread > 0.0, spread, np.maximum(np.abs(objectives[0] - reference), 1e-300))
     return int(((objectives - reference) / spread).max(axis=1).argmin())
+
+
+def _lacks(data: Dataset, name: str) -> str:
+    """Say why no reading of a diagnostic counts."""
+    if any(np.isfinite(e.values.get(name, math.nan)) and not e.failed for e in data.evaluations):
+        return f"all readings of {name} are withdrawn"
+    return f"{name} was never measured: check its name and its source"
 
 
 def _constraints(data: Dataset, belief: Belief) -> list[str]:

@@ -339,7 +339,10 @@ class Optimizer:
             ProblemError: If x does not have this shape, or not only finite numbers.
         """
         d = len(self.problem.variables)
-        points = np.asarray(x)
+        try:
+            points = np.asarray(x)
+        except ValueError:  # rows of different lengths
+            points = np.empty(0, dtype=object)
         is_finite = points.dtype.kind in "fiu" and bool(np.isfinite(points).all())
         if not is_finite or points.shape[1:] != (d,):
             raise ProblemError(f"x is {x!r:.60}; rows of {d} finite numbers are allowed")

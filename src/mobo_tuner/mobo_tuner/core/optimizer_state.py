@@ -106,7 +106,7 @@ def read_state(path: str | Path) -> dict[str, Any]:
         content = Path(path).read_bytes()
     try:
         state = json.loads(content)
-    except ValueError:
+    except (ValueError, RecursionError):
         raise ProblemError(f"the file '{path}' is not JSON") from None
     if not isinstance(state, dict):
         raise ProblemError(f"the file '{path}' holds no state of an optimiser")
@@ -118,7 +118,7 @@ def _reaching(path: object, what: str) -> Iterator[None]:
     """Turn what is wrong with a file, or with its name, into one sentence."""
     try:
         yield
-    except TypeError:
+    except (TypeError, ValueError):
         raise ProblemError(f"path is {path!r:.60}; the name of a file is allowed") from None
     except OSError as error:
         raise ProblemError(f"the file '{path}' cannot be {what}: {error.strerror}") from None

@@ -144,12 +144,12 @@ class Problem:
                 "'fidelity' is given, and a constraint that is safe; one of the two is allowed: what is "
                 "safe is a machine's, which has one fidelity only"
             )
-        measured = {*problem.objective_names, *(o.name for o in problem.observables)}
+        measured = {*problem.required_diagnostics, *(o.name for o in problem.observables)}
         for variable in problem.variables:
             if variable.name in measured:
                 raise ProblemError(
-                    f"'{variable.name}' is a variable and an objective or observable: "
-                    "a name can stand for one quantity only"
+                    f"'{variable.name}' is a variable and an objective, constraint or observable: "
+                    "a name can stand for one quantity only, and a variable is limited by its min and max"
                 )
         problem._check_tokens()
         for objective in problem.objectives:
@@ -158,6 +158,11 @@ class Problem:
                     f"objectives.{objective.name}.reference is {objective.reference:g}; with "
                     f"{len(problem.objectives)} objectives at most {problem.largest_reading:g} in "
                     "magnitude is allowed, so that the hypervolume is a finite number"
+                )
+            if objective.goal is not None and not abs(objective.goal) < problem.largest_reading:
+                raise ProblemError(
+                    f"objectives.{objective.name}.goal is {objective.goal:g}; less than "
+                    f"{problem.largest_reading:g} in magnitude is allowed, so that a reference can be worse"
                 )
         if problem.open_variables:
             return problem
@@ -304,7 +309,10 @@ class Problem:
         margin = 0.1 * np.where(worst > best, worst - best, np.maximum(np.abs(worst), 1e-30))
         # With a reference better than a goal, nothing could improve.
         goals = [-math.inf if o.goal is None else o.sign * o.goal for o in self.objectives]
-        inferred = np.minimum(np.maximum(worst, goals) + margin, self.largest_reading).tolist()
+        end = np.maximum(worst, goals)
+        # Where a goal is far from all readings, their range may be less than its last digit.
+        reference = np.where(end + margin > end, end + margin, end + 0.1 * np.abs(end))
+        inferred = np.minimum(reference, self.largest_reading).tolist()
         return replace(
             self,
             objectives=tuple(
@@ -384,6 +392,10 @@ class Problem:
             if variable.name not in setpoint:
                 raise ProblemError(f"the set-point lacks the variable '{variable.name}'")
             value = as_number(f"set-point {variable.name}", setpoint[variable.name])
+            if variable.scale == "log" and not value > 0.0:
+                raise ProblemError(
+                    f"set-point {variable.name} is {value:g}; with scale log it must be greater than 0"
+                )
             x = variable.normalize(value)
             if abs(x) > 2.0 * FARTHEST:
                 raise ProblemError(

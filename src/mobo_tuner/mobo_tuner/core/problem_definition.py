@@ -295,6 +295,11 @@ def _objective(name: str, entry: Mapping[str, Any]) -> Objective:
                 f"{where}.reference is {reference:g}, outside its truncation box "
                 f"[{truncation[0]:g}, {truncation[1]:g}]"
             )
+        if reference == truncation[direction == "maximize"]:
+            raise ProblemError(
+                f"{where}.reference is {reference:g}, the best end of its truncation box [{truncation[0]:g}, "
+                f"{truncation[1]:g}], in which nothing can be better; the worst end, or a value inside, is allowed"
+            )
     unit = as_string(f"{where}.unit", entry.get("unit", ""))
     objective = Objective(name, reference, direction, unit, truncation, _invalid(where, entry))
     return _with_goal(where, objective, entry)

@@ -84,8 +84,8 @@ class SafeSearch:
         safe = was_safe(self._data)[:measured]
         if not safe.any():
             raise ProblemError(
-                "no evaluation met the constraints that must be safe: the first one must be where the "
-                "machine is known to be safe"
+                "no evaluation to begin from: with trust_distance, or constraints that must be safe, the first "
+                "one is told, valid and safe, before any is asked for"
             )
         self._centers = self._data.inputs[:measured][safe]
         self._distance = trust_distance(safe, settings.trust_distance or DISTANCE)
