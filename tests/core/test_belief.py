@@ -277,3 +277,12 @@ def test_the_probability_of_being_nondominated_agrees_with_independent_draws() -
     draws = belief.objectives + belief.stddevs * rng.standard_normal((4000, *belief.stddevs.shape))
     expected = np.mean([moocore.is_nondominated(draw) for draw in draws], axis=0)
     np.testing.assert_allclose(probability, expected, atol=0.2)
+
+
+def test_a_point_that_was_measured_again_does_not_share_its_probability() -> None:
+    optimizer, rng = Optimizer(problem("f", "g"), seed=0), np.random.default_rng(0)
+    for _ in range(30):
+        values = {name: value + 0.2 * rng.normal() for name, value in truth(0.5, 0.5).items()}
+        optimizer.tell({"x": 0.5, "y": 0.5}, values)
+    [point] = optimizer.pareto_front()
+    assert point["probability"] == 1.0

@@ -12,6 +12,7 @@ from mobo_tuner.core.dataset import BoolArray, Dataset
 from mobo_tuner.core.models import Models
 from mobo_tuner.core.pareto import count_nondominated, is_below, is_nondominated
 from mobo_tuner.core.problem import Array, Problem
+from mobo_tuner.core.resolution import places
 
 _DRAWS = 64
 _WIDE = 4.0  # standard deviations
@@ -69,14 +70,18 @@ def probability_nondominated(
     worst = worst[is_nondominated(worst)]
     hopeless = np.any(np.all(worst < best[:, None], axis=2), axis=1)
     rows = rows[~hopeless]
-    draws = np.empty((_DRAWS, len(rows), belief.objectives.shape[1]))
+    place = places(data.inputs[rows])
+    draws = np.empty((_DRAWS, place.max(initial=-1) + 1, belief.objectives.shape[1]))
     for column, model in enumerate(models.objectives):
-        draws[:, :, column] = belief.objectives[rows, column]
-        doubted = np.flatnonzero(belief.stddevs[rows, column] > 0.0)
+        # A set-point that was measured again is one point; what was read there counts, if anything does.
+        order = np.argsort(belief.stddevs[rows, column], kind="stable")
+        at = rows[order[np.unique(place[order], return_index=True)[1]]]
+        draws[:, :, column] = belief.objectives[at, column]
+        doubted = np.flatnonzero(belief.stddevs[at, column] > 0.0)
         if len(doubted):
             normals = rng.standard_normal((_DRAWS, len(doubted)))
-            draws[:, doubted, column] = model.sample(data.inputs[rows[doubted]], normals)
-    probability[rows] = count_nondominated(draws) / _DRAWS
+            draws[:, doubted, column] = model.sample(data.inputs[at[doubted]], normals)
+    probability[rows] = (count_nondominated(draws) / _DRAWS)[place]
     return probability
 
 

@@ -25,6 +25,12 @@ _BEYOND_EDGE = 1.001  # of a cell, whose edge the machine may round to either si
 _FIRST_DEAD_BAND = 0.005  # half of it, where two evaluations ended up at the same place
 
 
+def places(x: Array) -> NDArray[np.intp]:
+    """Return the number of each point's place ``(n,)``, from 0 on in order, for points ``(n, d)``."""
+    _, first, place = np.unique(np.round(x / SAME), axis=0, return_index=True, return_inverse=True)
+    return np.asarray(np.argsort(np.argsort(first))[place.ravel()])
+
+
 @dataclass(frozen=True)
 class Taken:
     """Boxes of set-points that lead where the machine already was.
