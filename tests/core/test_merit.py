@@ -27,7 +27,7 @@ def test_feasibility_is_sought_before_anything_else() -> None:
     assert feasible.any()
 
 
-def test_where_feasibility_seems_hopeless_half_of_what_is_lacking_is_sought() -> None:
+def test_where_feasibility_seems_hopeless_a_part_of_what_is_lacking_is_sought() -> None:
     def machine(x: Mapping[str, float]) -> dict[str, Any]:
         return toy(x) | {"g": 3.0 + math.tanh(x["x1"]) + 0.2 * x["x2"]}
 
@@ -38,14 +38,21 @@ def test_where_feasibility_seems_hopeless_half_of_what_is_lacking_is_sought() ->
     optimizer.ask()  # the models learn all that was told
     readings = optimizer.dataset.column("g")
     [(model, _, _)] = optimizer.archive.models.constraints
-    upper = 0.5 * (1.0 + model.predict(optimizer.dataset.inputs)[0].min())
-    assert upper == pytest.approx(0.5 * (1.0 + readings.min()), abs=0.05)
+    best = model.predict(optimizer.dataset.inputs)[0].min()
+    assert best == pytest.approx(readings.min(), abs=0.1)
+    upper = max(0.5 * (1.0 + best), best - 0.3 * model.spread)
     points = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 2))
     merit = Merit(optimizer.archive, optimizer.settings, 2)
     sought = merit.acquisition_function(nearest=True)
     assert sought is not None
     expected = ProbabilityOfFeasibility(model, upper=upper).log_value(points)
     np.testing.assert_allclose(sought.log_value(points), expected)
+
+
+def test_a_limit_far_out_of_reach_is_approached() -> None:
+    optimizer = Optimizer(with_changes(constraints={"g": {"max": -10.0}}), seed=0)
+    tune(optimizer, 14, lambda x: toy(x) | {"g": (x["x1"] - 0.3) ** 2 + (x["x2"] - 0.4) ** 2})
+    assert optimizer.dataset.column("g").min() < 0.05
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])

@@ -42,6 +42,7 @@ _HOPELESS = 1e-4  # expected improvement of each objective, as a share of its sp
 _DRAWS = 8  # of the function at noisy evaluations
 _MOST_DRAWN = 100  # evaluations up to which it is drawn; many are known well by their means
 _MOST_BOXES = 100  # of the believed front, up to which one for each draw takes little time
+_LARGEST_STEP = 0.3  # towards a limit out of reach, in standard deviations of the readings
 _SKILL = 0.5  # least share of their variance that a model must explain to be followed
 
 
@@ -184,7 +185,8 @@ class Merit:
         """Return the constraints with limits half-way to them from the evaluation that lacks least.
 
         Where the models are certain that nothing is feasible, the probability is largest where they know
-        least, which are the corners; they still know where the readings become better.
+        least, which are the corners; they still know where the readings become better. Half-way to a limit
+        that is far out of reach they are as certain, so that the step there is limited.
         """
         limits = self._models.constraints
         measured = self._data.inputs[self._data.valid]
@@ -194,12 +196,12 @@ class Merit:
             for values, (model, lower, upper) in zip(believed, limits, strict=True)
         ]
         nearest = int(np.sum(lacks, axis=0).argmin())
-        return [
-            (model, min(lower, 0.5 * (lower + at)), max(upper, 0.5 * (upper + at)))
-            for (model, lower, upper), at in zip(
-                limits, (b[nearest] for b in believed), strict=True
-            )
-        ]
+        halves = []
+        for (model, lower, upper), values in zip(limits, believed, strict=True):
+            at, most = float(values[nearest]), _LARGEST_STEP * (model.spread or math.inf)
+            low, high = at + min(0.5 * (lower - at), most), at + max(0.5 * (upper - at), -most)
+            halves.append((model, min(lower, low), max(upper, high)))
+        return halves
 
     def _is_informed(self, limit: tuple[GaussianProcess, float, float]) -> bool:
         """Return whether the readings of a constraint say anything of where it is met.
