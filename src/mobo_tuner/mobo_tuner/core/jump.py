@@ -9,13 +9,14 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.context import ContextInputs
 from mobo_tuner.core.context_kernel import Contextual
 from mobo_tuner.core.dataset import Dataset
 from mobo_tuner.core.evidence import NEGLIGIBLE_NOISE, STEPS
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
 from mobo_tuner.core.kernels import Kernel
-from mobo_tuner.core.linear_algebra import FloatArray, single_blas_thread
+from mobo_tuner.core.linear_algebra import single_blas_thread
 from mobo_tuner.core.training import (
     SUBSET,
     TOLERANCE,
