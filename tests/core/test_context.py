@@ -150,7 +150,7 @@ def test_time_counts_evaluations_where_none_is_told_and_must_be_finite() -> None
         optimizer.tell(here, {"f": 1.0, "g": 1.0}, time=t).time for t in (None, None, 7.5, None)
     ]
     assert times == [0.0, 1.0, 7.5, 8.5]
-    with pytest.raises(ProblemError, match="time is nan"):
+    with pytest.raises(ProblemError, match="time must be a finite number"):
         optimizer.tell(here, {"f": 1.0, "g": 1.0}, time=math.nan)
     assert len(optimizer.dataset) == 4
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from mobo_tuner.core import Optimizer, Problem
+from mobo_tuner.core import Optimizer, Problem, ProblemError
 from mobo_tuner.core.domain import sobol
 
 PROBLEM = Problem.from_dict(
@@ -72,9 +72,13 @@ def test_when_a_machine_changed_is_found(drift: str, first: int, noise: float) -
     ]
     off = np.abs(np.subtract(*np.transpose(promised)))
     assert np.median(off) < 0.02 + noise
-    restored = Optimizer.from_state(json.loads(json.dumps(optimizer.get_state())))
+    state = json.loads(json.dumps(optimizer.get_state()))
+    restored = Optimizer.from_state(state)
     assert restored.models.jumps == optimizer.models.jumps
     assert restored.ask() == optimizer.ask()
+    state["models"]["context"]["jumps"] = [float("nan")]
+    with pytest.raises(ProblemError, match="not one that get_state gave"):
+        Optimizer.from_state(state)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.1])

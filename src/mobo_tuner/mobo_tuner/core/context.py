@@ -133,6 +133,8 @@ class ContextInputs:
         if len(scales) != len(names) or not all(unit > 0.0 for _, unit in (*scales, clock)):
             raise ValueError(f"the scales of the contexts are {state['scales']}")
         jumps = tuple(map(float, state.get("jumps", ())))
+        if not all(map(math.isfinite, jumps)):
+            raise ValueError(f"the machine changed at {jumps}")
         return cls(names, scales, fidelities, clock, bool(state["timed"]), jumps)
 
 

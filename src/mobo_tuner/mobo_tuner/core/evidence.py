@@ -28,9 +28,6 @@ _NOISE_LEVELS = np.log([3e-4, 3e-3, 3e-2, 3e-1])  # the same, to look at first
 _PLATEAU = 0.25  # share of readings that are alike from which on noise is not plain to see
 _LEAST_FOR_DRIFT = 8  # observations that say anything of time
 _TIME_SCALES = np.log([0.2, 1.0, 5.0])  # to look at first, in the unit of time
-_LONG = float(
-    np.log(30.0)
-)  # time scale of a function that changes by jumps only, in the unit of time
 
 
 class NoiseEvidence(NamedTuple):
