@@ -22,7 +22,7 @@ from mobo_tuner.core.training import (
     train_lbfgs,
 )
 
-STEPS = 30  # of a training
+_STEPS = 30  # of a training
 NEGLIGIBLE_NOISE = float(np.log(1e-5))  # variance, as a share of that of the outputs
 _NOISE_LEVELS = np.log([3e-4, 3e-3, 3e-2, 3e-1])  # the same, to look at first
 _PLATEAU = 0.25  # share of readings that are alike from which on noise is not plain to see
@@ -90,12 +90,12 @@ def noise_evidence(
     most = n * (without - learned) - penalty
     if most <= 0.0:  # no noise explains the observations any better
         return NoiseEvidence(most, False)
-    noisy_best, learned = train_lbfgs(objective, noisy, bounds, free, tolerance, STEPS)
+    noisy_best, learned = train_lbfgs(objective, noisy, bounds, free, tolerance, _STEPS)
     most = n * (without - learned) - penalty
     if most <= 0.0:  # the training below only lowers what there is without noise
         return NoiseEvidence(most, False)
     free[-1] = False
-    noiseless_best, without = train_lbfgs(objective, noiseless, bounds, free, tolerance, STEPS)
+    noiseless_best, without = train_lbfgs(objective, noiseless, bounds, free, tolerance, _STEPS)
     gain = float(left_out_gains(objective, noisy_best, objective, noiseless_best).sum())
     # Readings that are exactly alike in many places are those of a plateau, not of noise.
     alike = np.unique(z, return_counts=True)[1].max() > _PLATEAU * len(z)
@@ -149,17 +149,44 @@ def drift_evidence(
     if most <= 0.0:
         return most
 
-    def best(
-        objective: NegativeLogPosterior, starts: list[FloatArray], moving: NDArray[np.bool_]
-    ) -> tuple[FloatArray, float]:
-        bounds = objective.bounds(settings.minimum_noise)
-        return train_lbfgs(objective, np.array(starts), bounds, moving, TOLERANCE / n, STEPS)
-
-    changing, with_time = best(timed, levels[:1], free)
     plain = np.delete(parameters, at)
     clear = np.append(plain[:-1], noises[-1])
-    constant, without = best(steady, [plain, clear], np.delete(free, at))
-    if n * (without - with_time) <= 0.0:
-        return n * (without - with_time)
-    gain = float(left_out_gains(timed, changing, steady, constant).sum())
-    return min(n * (without - with_time), gain)
+    return trained_gain(
+        settings,
+        Hypothesis(timed, levels[:1], free),
+        Hypothesis(steady, [plain, clear], np.delete(free, at)),
+    )
+
+
+class Hypothesis(NamedTuple):
+    """What a function may be: its posterior, hyperparameters `(k + 2,)` to start from, and which are free."""
+
+    objective: NegativeLogPosterior
+    starts: list[FloatArray]
+    free: NDArray[np.bool_]
+
+    def trained(self, settings: GaussianProcessSettings) -> tuple[FloatArray, float]:
+        """Return the best hyperparameters `(k + 2,)`, and their value."""
+        bounds = self.objective.bounds(settings.minimum_noise)
+        starts = np.clip(self.starts, bounds[:, 0], bounds[:, 1])
+        tolerance = TOLERANCE / len(self.objective.z)
+        return train_lbfgs(self.objective, starts, bounds, self.free, tolerance, _STEPS)
+
+
+def trained_gain(settings: GaussianProcessSettings, new: Hypothesis, former: Hypothesis) -> float:
+    """Return the gain in the highest marginal likelihood, or, if that is less, in the left-out densities.
+
+    Each observation counts for at most one in these, as for `noise_evidence`.
+
+    Args:
+        settings: Settings of the training.
+        new: Hypothesis that may explain the observations better.
+        former: The other one, of the same observations.
+    """
+    parameters, value = new.trained(settings)
+    former_parameters, former_value = former.trained(settings)
+    gain = len(new.objective.z) * (former_value - value)
+    if gain <= 0.0:
+        return gain
+    gains = left_out_gains(new.objective, parameters, former.objective, former_parameters)
+    return min(gain, float(gains.sum()))

@@ -13,18 +13,11 @@ from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.context import ContextInputs
 from mobo_tuner.core.context_kernel import Contextual
 from mobo_tuner.core.dataset import Dataset
-from mobo_tuner.core.evidence import NEGLIGIBLE_NOISE, STEPS
+from mobo_tuner.core.evidence import NEGLIGIBLE_NOISE, Hypothesis, trained_gain
 from mobo_tuner.core.gaussian_process_settings import GaussianProcessSettings
 from mobo_tuner.core.kernels import Kernel
 from mobo_tuner.core.linear_algebra import single_blas_thread
-from mobo_tuner.core.training import (
-    SUBSET,
-    TOLERANCE,
-    NegativeLogPosterior,
-    held_parameters,
-    left_out_gains,
-    train_lbfgs,
-)
+from mobo_tuner.core.training import SUBSET, NegativeLogPosterior, held_parameters
 
 _LONG = float(np.log(30.0))  # time scale of a function that changes by jumps only, in units of time
 _FEWEST = 5  # evaluations before and after a jump that say anything of it
@@ -99,22 +92,15 @@ class JumpEvidence:
         Args:
             times: As for `rough`.
         """
-        jumping, n = self._jumping(times), len(self._z)
-
-        def best(
-            objective: NegativeLogPosterior, starts: list[FloatArray], free: NDArray[np.bool_]
-        ) -> tuple[FloatArray, float]:
-            bounds = objective.bounds(self._settings.minimum_noise)
-            clipped = np.clip(np.array(starts), bounds[:, 0], bounds[:, 1])
-            return train_lbfgs(objective, clipped, bounds, free, TOLERANCE / n, STEPS)
-
+        jumping = self._jumping(times)
         start = min(self._starts, key=lambda p: jumping(p)[0])
-        changing, with_jump = best(jumping, [start], self._free)
         kept = self._kept
-        plain = [self._trained, np.append(self._default, self._trained[-2:])]
-        constant, without = best(self._former, [p[kept] for p in plain], self._free[kept])
-        gain = float(left_out_gains(jumping, changing, self._former, constant).sum())
-        return min(n * (without - with_jump), gain)
+        plain = [self._trained[kept], np.append(self._default, self._trained[-2:])[kept]]
+        return trained_gain(
+            self._settings,
+            Hypothesis(jumping, [start], self._free),
+            Hypothesis(self._former, plain, self._free[kept]),
+        )
 
 
 @single_blas_thread()

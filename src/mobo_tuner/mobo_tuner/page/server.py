@@ -30,7 +30,7 @@ from mobo_tuner.page.words import first_words
 
 REFRESH_PERIOD = 0.2  # [s]
 RECONNECT_TIMEOUT = 10.0  # [s] sets how often a browser is asked whether it is there (.8), and its time to answer (.4)
-KEEP_TIMEOUT = 45.0  # [s] for a busy or sleeping browser to come back to its page; after it, the page begins anew
+KEEP_TIMEOUT = 45.0  # [s] for which a page is kept whose browser is busy or asleep
 MAX_VIEWS = 40  # pages that are open at a time
 STOP_TIMEOUT = 0.6  # [s] for the server to end
 BACKLOG = 64
