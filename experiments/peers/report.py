@@ -24,6 +24,7 @@ TITLES = {
 PEERS = ("xopt", "botorch", "nsga2", "random")
 KINDS = ("held-out", "hard", "others")
 LEVEL = 0.005  # of the hypervolume: less is a tie
+_LEAST_COMPARED = 20  # evaluations of a run that was stopped
 
 
 def kind_of(problem: str) -> str:
@@ -58,12 +59,15 @@ class Duel(NamedTuple):
 
 
 def duels(all_results: Mapping[str, Results], peer: str, noise: float) -> list[Duel]:
-    """Return the duels of the default strategy with a peer, of all seeds that both have finished."""
+    """Return the duels of the default strategy with a peer, as far as both have come.
+
+    A run that was stopped before evaluation 20 is left out.
+    """
     found = []
     for problem, results in all_results.items():
         ours, theirs = (results.runs.get(label(m, noise), {}) for m in ("default", peer))
         for seed in sorted(ours.keys() & theirs.keys()):
-            if "stopped" in theirs[seed]:
+            if theirs[seed].get("stopped", _LEAST_COMPARED) < _LEAST_COMPARED:
                 continue
             a, b = (np.array(runs[seed]["hypervolumes"]) for runs in (ours, theirs))
             n = min(len(a), len(b))

@@ -40,6 +40,17 @@ def test_a_run_that_takes_too_long_is_stopped_and_says_so() -> None:
     assert len(record["hypervolumes"]) == record["stopped"]
 
 
+@pytest.mark.parametrize(("stopped", "compared"), [(19, []), (25, [25 / 24])])
+def test_a_run_that_was_stopped_is_compared_as_far_as_it_came(
+    tmp_path: Path, stopped: int, compared: list[float]
+) -> None:
+    results = Results(tmp_path / "toy.json")
+    theirs = {"hypervolumes": [float(n) for n in range(stopped)], "stopped": stopped}
+    ours = {"hypervolumes": [float(n + 1) for n in range(60)]}
+    results.runs = {"default": {0: ours}, "random": {0: theirs}}
+    assert [duel.late for duel in duels({"toy": results}, "random", 0.0)] == compared
+
+
 @pytest.fixture
 def raced(tmp_path: Path) -> dict[str, Results]:
     runs = plan("toy", ["default", "random"], [0.0], CampaignSize(seeds=2), 12, 60.0)
