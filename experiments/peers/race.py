@@ -96,13 +96,17 @@ class _TimeIsUpError(BaseException):
 
 @contextmanager
 def _cpu_limit(seconds: float) -> Iterator[None]:
-    """Raise an error in the block when the process has used so much more CPU time."""
+    """Raise an error in the block when the process has used so much more CPU time.
+
+    It is raised again after each further second: code that must not fail, such as a callback of a compiled library,
+    may have swallowed it.
+    """
 
     def stop(*_: object) -> None:
         raise _TimeIsUpError
 
     former = signal.signal(signal.SIGPROF, stop)
-    signal.setitimer(signal.ITIMER_PROF, seconds)
+    signal.setitimer(signal.ITIMER_PROF, seconds, 1.0)
     try:
         yield
     finally:

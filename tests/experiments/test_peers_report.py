@@ -11,9 +11,11 @@ import pytest
 from experiments.campaign import RESULTS, Results, compute
 from experiments.campaign import Size as CampaignSize
 from experiments.peers.__main__ import DOCUMENT, plan, read, with_parts
+from experiments.peers.methods import METHODS, Suggester
 from experiments.peers.problems import PROBLEMS
 from experiments.peers.race import race
 from experiments.peers.report import details, duels, label, summary
+from mobo_tuner.core.arrays import FloatArray
 from mobo_tuner.core.initial_design import initial_design
 
 
@@ -38,6 +40,29 @@ def test_a_run_that_takes_too_long_is_stopped_and_says_so() -> None:
     record = race(0, "penicillin", "perfect", 0.0, 60, limit=0.5)
     assert record["stopped"] < 60
     assert len(record["hypervolumes"]) == record["stopped"]
+
+
+def test_a_run_is_stopped_even_if_its_method_swallows_the_first_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    swallowed = []
+
+    def stubborn(*_: object) -> Suggester:
+        def suggest(x: FloatArray, _: FloatArray) -> FloatArray:
+            while True:
+                try:
+                    np.linalg.norm(x)
+                except BaseException as error:
+                    swallowed.append(error)
+                    if len(swallowed) > 1:
+                        raise
+
+        return suggest
+
+    monkeypatch.setitem(METHODS, "stubborn", stubborn)
+    record = race(0, "toy", "stubborn", 0.0, 60, limit=0.1)
+    assert record["stopped"] == 6
+    assert len(swallowed) == 2
 
 
 @pytest.mark.parametrize(("stopped", "compared"), [(19, []), (25, [25 / 24])])
